@@ -87,20 +87,17 @@ class SolverChoice:
         """
         solves = "1 solve" if self.solves == 1 else f"{self.solves:g} solves"
         if condensed:
-            return f"{solves}, by condensation onto the jumps, {self._gigabytes}"
+            return f"{solves}, by condensation onto the jumps, {_gigabytes(self.memory_needed)}"
         return f"{solves} by a Krylov method, because {self._reason_against(linear)}"
-
-    @property
-    def _gigabytes(self) -> str:
-        return f"{self.memory_needed / 1e9:.2g} GB"
 
     def _reason_against(self, linear: str) -> str:
         """Reason why bodies are not condensed, as text."""
         if linear not in ("auto", "condensed"):
             return f"solver.linear is {linear}"
         if not self.fits:
-            allowed = f"{MEMORY_SHARE * self.memory / 1e9:.2g} GB"
-            return f"condensation needs {self._gigabytes} of memory and may take {allowed}"
+            needed = _gigabytes(self.memory_needed)
+            allowed = _gigabytes(MEMORY_SHARE * self.memory)
+            return f"condensation needs {needed} of memory and may take {allowed}"
         if self.condenses(linear):
             return "there is no library for the factors of condensation"
         if self.limit == 0.0:
@@ -109,3 +106,9 @@ class SolverChoice:
             limit_text = f"{count(self.limit)}, the limit of condensation"
             return f"{count(self.size)} displacement unknowns exceed {limit_text}"
         return f"condensation is not faster for {count(self.size)} displacement unknowns"
+
+
+def _gigabytes(size: float) -> str:
+    """Memory [bytes] in GB as text: two digits, and no power of ten."""
+    rounded = float(f"{size / 1e9:.2g}")
+    return f"{rounded:,g} GB"

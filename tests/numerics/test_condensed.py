@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -62,6 +63,11 @@ def test_condensed_method_is_chosen_by_size(size: tuple[int, ...], least: float)
         assert known.condenses("auto") == (solves >= least)
         assert guessed.memory_needed == pytest.approx(known.memory_needed, rel=0.2)
         assert not replace(known, memory=known.memory_needed).condenses("condensed")
+
+
+def test_condensed_method_states_memory_in_plain_numbers() -> None:
+    text = SolverChoice(2, 2_664_960, 53_784, 1, memory=16e9).description("auto", False)
+    assert re.search(r"condensation needs [1-9][0-9]{1,2} GB of memory and may take 13 GB", text)
 
 
 LAWS = [
