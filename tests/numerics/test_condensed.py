@@ -67,7 +67,7 @@ def test_condensed_method_is_chosen_by_size(size: tuple[int, ...], least: float)
 
 def test_condensed_method_states_memory_in_plain_numbers() -> None:
     text = SolverChoice(2, 2_664_960, 53_784, 1, memory=16e9).description("auto", False)
-    assert re.search(r"condensation needs [1-9][0-9]{1,2} GB of memory and may take 13 GB", text)
+    assert re.search(r"condensation needs [1-9][0-9]{1,2} GB of memory and may take 8 GB", text)
 
 
 LAWS = [
