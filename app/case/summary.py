@@ -12,7 +12,7 @@ from typing import Any, TypedDict, cast
 
 # Numbers of one interface, region or body by key: numbers, vectors (3,), counts, and the numbers of
 # its parts (`quantities.PARTS`). None stands for a number that is not known. The estimated error of
-# a number X is X_error. Packages from outside add numbers.
+# a number X is X_error. Other packages add numbers.
 Numbers = dict[str, Any]
 
 
@@ -41,14 +41,12 @@ class Zone(TypedDict, total=False):
         strain_energy_density_error: Its estimated error [MPa].
         volume: Volume by region of bone [mm3].
         interfaces: Motion and tractions in the zone, by interface.
-        bone_mass_change: Relative change by remodelling, of ``all`` bone and by region [-].
     """
 
     strain_energy_density: dict[str, float]
     strain_energy_density_error: dict[str, float]
     volume: dict[str, float]
     interfaces: dict[str, Numbers]
-    bone_mass_change: dict[str, float]
 
 
 class MantleNumbers(TypedDict, total=False):
@@ -85,21 +83,6 @@ class StageCycles(TypedDict, total=False):
     change: dict[str, dict[str, float]]
     dissipation: list[float]
     trend: str
-
-
-class RemodellingNumbers(TypedDict):
-    """Remodelling of bone.
-
-    Attributes:
-        seconds: Time of remodelling [s].
-        steps: Number of its steps.
-        mass: Mass [g] at ``start`` and ``end``, ``added`` and ``cut`` mass, and the relative
-            defect ``audit`` of their balance [-].
-    """
-
-    seconds: float
-    steps: int
-    mass: dict[str, float]
 
 
 class SolverNumbers(TypedDict, total=False):
@@ -173,7 +156,10 @@ class ShaftInfluence(TypedDict):
 
 
 class Summary(TypedDict, total=False):
-    """Content of ``summary.json``.
+    """Sections of ``summary.json`` that the core writes.
+
+    Records of other packages add sections and numbers (`results.records.Record.numbers`);
+    `added_section` returns such a section.
 
     Attributes:
         status: ``converged``, ``do not use``, ``not converged`` or ``stopped``.
@@ -193,9 +179,6 @@ class Summary(TypedDict, total=False):
         cure: Degrees of cure, by region.
         creep: ``cycles`` or ``time`` [s] of creep, and its ``dissipation`` [N mm].
         cycles: Permanent and inducible motions, by stage.
-        fatigue: Damage by S-N law, if a material tires.
-        stem_test: Stress, deflection and life of a stem in its bench test.
-        remodelling: Mass of the bone, if it remodels.
         section_loads: Loads above cuts of the femur (`case.section_loads.SectionLoad`).
         probes: ``displacement`` (3,) [mm] of each probe; of a strain gauge its mean, the ``strain``
             [-], the ``centre`` (3,) [mm] and the unit vector ``direction`` (3,) of the grid.
@@ -227,9 +210,6 @@ class Summary(TypedDict, total=False):
     cure: dict[str, Numbers]
     creep: dict[str, float]
     cycles: dict[str, StageCycles]
-    fatigue: dict[str, Numbers]
-    stem_test: dict[str, Numbers]
-    remodelling: RemodellingNumbers
     section_loads: list[Numbers]
     probes: dict[str, Numbers]
     balance: dict[str, float]
@@ -243,8 +223,13 @@ class Summary(TypedDict, total=False):
     verdicts: list[dict[str, str]]
 
 
-def merge(summary: Summary, added: Summary) -> None:
-    """Add the sections of another summary, number by number."""
+def added_section(summary: Summary, name: str) -> Numbers:
+    """Return a section that another package adds; empty if it is missing."""
+    return cast(Numbers, cast(Numbers, summary).get(name, {}))
+
+
+def merge(summary: Summary, added: Mapping[str, Any]) -> None:
+    """Add sections by key, number by number."""
     _merge(cast(Numbers, summary), added)
 
 

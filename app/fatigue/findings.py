@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from app.case import quantities
 from app.case.case import Case
 from app.case.checks import check
-from app.case.summary import Numbers, Summary
+from app.case.summary import Numbers, Summary, added_section
 from app.fatigue.laws import fatigue_of, level_of, stem_test_of
 from app.foundation.verdict import Severity, Verdict, note
 from app.results.verdicts import judge
@@ -92,7 +92,7 @@ def _beyond_measured(case: Case, numbers: Summary) -> Iterable[Verdict]:
     for name, law in fatigue.laws.items() if fatigue else ():
         if law.measured is None:
             continue
-        stress = numbers["fatigue"][name]["stress_p99"]
+        stress = added_section(numbers, "fatigue")[name]["stress_p99"]
         lowest, highest = law.measured
         if not lowest <= stress <= highest:
             message = (
@@ -105,10 +105,10 @@ def _beyond_measured(case: Case, numbers: Summary) -> Iterable[Verdict]:
 @judge
 def _life_and_strength(summary: Summary) -> Iterable[Verdict]:
     """Life of the region that tires, and the probability that each region breaks."""
-    laws = summary.get("fatigue")
+    laws = added_section(summary, "fatigue")
     if laws:
         yield Verdict(life(laws), "fatigue", severity=Severity.WARNING)
-    for name, numbers in summary.get("stem_test", {}).items():
+    for name, numbers in added_section(summary, "stem_test").items():
         yield Verdict(_endurance(name, numbers), "bench test", severity=Severity.WARNING)
     unsettled = summary.get("error", {}).get("unsettled", {})
     for name, numbers in summary.get("regions", {}).items():

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from app.case.case import Case
-from app.case.summary import Numbers, Summary
+from app.case.summary import Numbers
 from app.fatigue.laws import level_of, stem_test_of
 from app.foundation.arrays import Bools, Floats
 from app.laws.values import ROUNDING
@@ -48,7 +48,7 @@ class PottedStem(Record):
         centre = np.average(self._head.x, axis=0, weights=self._head.area)
         self._centre = np.asarray(points[0]) if points else centre
 
-    def numbers(self) -> Summary:
+    def numbers(self) -> dict[str, dict[str, Numbers]]:
         """Section ``stem_test``; collective."""
         stresses, region = self._stresses, self._test.region
         x, volume = stresses.places(region)

@@ -23,7 +23,7 @@ from itertools import combinations
 import numpy as np
 
 from app.case.case import Case
-from app.case.summary import Numbers, Summary
+from app.case.summary import Numbers
 from app.fatigue.laws import fatigue_of, weibull_of
 from app.foundation.arrays import Bools, Floats, Ints
 from app.mechanics.contact import TrialState
@@ -79,9 +79,9 @@ class CementRisk(Record):
         # By law: damage a year and largest equivalent stress [MPa] at the points (n, 2).
         self.damage = {name: np.zeros((len(self.row_keys), 2)) for name in laws}
 
-    def numbers(self) -> Summary:
+    def numbers(self) -> dict[str, dict[str, Numbers]]:
         """Strength in section ``regions``, and section ``fatigue``; collective."""
-        numbers: Summary = {"regions": self.weibull()}
+        numbers = {"regions": self.weibull()}
         if self.damage:
             numbers["fatigue"] = self.fatigue()
         return numbers

@@ -6,10 +6,10 @@ Arrays are by vertex of this rank, ghosts too, and region (n, r).
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any, TypedDict
 
 import numpy as np
 
-from app.case.summary import Summary, Zone
 from app.foundation.arrays import Floats
 from app.mechanics.body_forms import linear_shape_functions
 from app.results.hip import zone_integrals
@@ -17,6 +17,31 @@ from app.results.records import Followed, Record
 
 # Mass of 1 mm3 of 1 g/cm3 [g].
 GRAM = 1e-3
+
+
+class RemodellingNumbers(TypedDict):
+    """Section ``remodelling`` of ``summary.json``.
+
+    Attributes:
+        seconds: Time of remodelling [s].
+        steps: Number of its steps.
+        mass: Mass [g] at ``start`` and ``end``, ``added`` and ``cut`` mass, and the relative
+            defect ``audit`` of their balance [-].
+    """
+
+    seconds: float
+    steps: int
+    mass: dict[str, float]
+
+
+class ZoneNumbers(TypedDict):
+    """Numbers of a zone in section ``gruen`` of ``summary.json``.
+
+    Attributes:
+        bone_mass_change: Relative change of mass, of ``all`` bone and by region [-].
+    """
+
+    bone_mass_change: dict[str, float]
 
 
 class BoneMass(Record):
@@ -93,21 +118,21 @@ class BoneMass(Record):
 
     # What it publishes
 
-    def numbers(self) -> Summary:
+    def numbers(self) -> dict[str, Any]:
         """Sections ``remodelling`` and ``gruen`` of the state last committed; collective."""
         mass = self.mass | {"end": self.present}
         mass["audit"] = (mass["end"] - sum(self.mass.values())) / mass["start"]
-        numbers: Summary = {
-            "remodelling": {"seconds": self.seconds, "steps": self.steps, "mass": mass}
+        remodelling: RemodellingNumbers = {
+            "seconds": self.seconds,
+            "steps": self.steps,
+            "mass": mass,
         }
-        zones: dict[str, Zone] = {
+        zones: dict[str, ZoneNumbers] = {
             str(zone): {"bone_mass_change": change}
             for zone, change in self.changes().items()
             if change
         }
-        if zones:
-            numbers["gruen"] = zones
-        return numbers
+        return {"remodelling": remodelling} | ({"gruen": zones} if zones else {})
 
     def step_record(self) -> dict[str, float]:
         """Columns of ``history.csv`` after a step; collective."""

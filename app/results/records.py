@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from app.case.case import Case
-from app.case.summary import Summary
 from app.foundation.arrays import Floats, Ints
 
 if TYPE_CHECKING:
@@ -97,8 +96,12 @@ class Record:
         """Return a function that prepares a stage and then calls ``on_stage``."""
         return on_stage
 
-    def numbers(self) -> Summary:
-        """Sections of ``summary.json``, which are merged with those of the run; collective."""
+    def numbers(self) -> Mapping[str, Any]:
+        """Sections of ``summary.json`` by key; collective.
+
+        They are merged with those of the run (`case.summary.merge`): a record adds numbers to a
+        section of the core, or a section of its package.
+        """
         return {}
 
     def step_record(self) -> dict[str, float]:

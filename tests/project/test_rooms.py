@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from app.case.summary import Summary
 from tests import support
 from tests.project.sources import ROOT
 
@@ -65,6 +66,11 @@ def test_rooms_core_runs_without_a_room(room: str, tmp_path: Path) -> None:
     done = run(program, case, *COARSE)
     assert done.returncode == 0, done.stderr
     assert "converged" in done.stdout
+
+
+def test_rooms_core_names_no_section_of_a_room() -> None:
+    sections = {*KEYS, "press_fit", "stem_test"}
+    assert not sections & Summary.__annotations__.keys()
 
 
 def test_rooms_core_solves_finite_sliding_without_the_room_of_bearings(tmp_path: Path) -> None:
