@@ -91,6 +91,10 @@ WORDS: dict[str, tuple[str, ...]] = {
     # Output
     "probe": ("output.probes",),
     "path": ("output.paths",),
+    "figure": ("output.report", "--gif"),
+    "picture": ("output.report", "--gif"),
+    "svg": ("output.report",),
+    "pdf": ("output.report",),
     "restart": ("--restart", "output.checkpoint"),
     "checkpoint": ("output.checkpoint", "--restart"),
     "micromotion": ("interfaces.motion_p99", "interfaces.area_motion_over_30um"),

@@ -248,7 +248,8 @@ class OutputOptions(Section):
     """Largest error, such as 5 %, of p99 of gap, slip and motion and of p95 of pressure and shear.
     Cheap runs choose mesh size and order for it, within the limits of memory and `--walltime`."""
     report: Truth = True
-    """Write `report.html` at the end: the results as a page."""
+    """Write `report.html` at the end: the results as a page. `mantle report` also writes its
+    curves and maps as PNG, SVG and PDF."""
     checkpoint: CheckpointOptions = CheckpointOptions()
     """Times at which the state is saved for `--restart`."""
     probes: Annotated[dict[Name, AnyProbe], MAPPING] = Field(default_factory=dict)

@@ -82,7 +82,7 @@ COMMANDS = {
         f"fit --set --allow-scripts {MANY}",
     ),
     "report": (
-        "write the page of a run, sweep or fit again, or compare several runs",
+        "write the page and figures of a run, sweep or fit again, or compare several runs",
         "folders -o --spread --evidence --methods --gif --field",
     ),
     "verify": ("solve problems with known answers and compare", SUITE),
