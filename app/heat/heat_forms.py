@@ -68,20 +68,20 @@ class HeatForms:
         cells = self._tagged.cell_tags.find(self._tagged.regions[region])
         return np.asarray(cells[cells < self._mesh.topology.index_map(3).size_local])
 
-    def held_nodes(self, condition: FixedTemperature) -> Bools:
-        """Owned nodes of each body that have a given temperature (b, n); collective."""
-        is_held = self.zeros() > 0
+    def prescribed_nodes(self, condition: FixedTemperature) -> Bools:
+        """Mask of owned nodes of each body with prescribed temperature (b, n); collective."""
+        is_prescribed = self.zeros() > 0
         if condition.boundary:
             by_body = facets_by_body(self._tagged, self._bodies, condition.boundary)
             for b, facets in by_body.items():
                 nodes = fem.locate_dofs_topological(self.space, 2, facets)
-                is_held[b, nodes[nodes < self.owned]] = True
+                is_prescribed[b, nodes[nodes < self.owned]] = True
         for region in condition.regions or ():
-            is_held[self._bodies.of_region[region]] |= self.volumes(region) > 0
-        return is_held
+            is_prescribed[self._bodies.of_region[region]] |= self.volumes(region) > 0
+        return is_prescribed
 
     def values(self, field: Field, nodes: Ints) -> Floats:
-        """A field at some owned nodes, zero at the others (owned,); collective.
+        """Values of a field at owned nodes, zero at all other nodes (owned,); collective.
 
         Raises:
             InputError: The field cannot be evaluated there.

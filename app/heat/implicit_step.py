@@ -18,14 +18,13 @@ with
 - K: conduction, corrected where necessary (`MaximumPrinciple.matrices`); T_0 the `reference`.
 - R (T - T_a): exchange with surroundings (`HeatLoads.exchanged`); f: fluxes and sources
   (`HeatLoads.heat_into_nodes`).
-- a: heat of cure (`CureHeat.heat_into_nodes`); d: heat of friction (`FrictionHeating.nodal`), from
-the
-  mechanics.
-- E: exchange of surfaces with finite sliding (`MeanExchange.heat_into_nodes`).
+- a: heat of cure (`CureHeat.heat_into_nodes`); d: heat of friction (`FrictionHeating.nodal`), set
+  by the mechanics.
+- E: exchange of surfaces with finite sliding (`MeanExchange.heat_out_of_nodes`).
 - q: heat flux from jump and contact pressure p (`TemperatureJumps.flux`); W: areas of the points.
 
-Given temperatures replace their rows (`impose`). `jacobian` is the derivative; `heat.operators`
-assembles the matrices.
+Rows of prescribed temperatures and jumps have a zero residual; `impose` sets their values.
+`jacobian` is the derivative; `heat.operators` assembles the matrices.
 """
 
 from __future__ import annotations
@@ -48,10 +47,11 @@ from app.laws.values import multiplier
 from app.numerics.preconditioners import INTERFACE, MULTIGRID, Options, is_direct
 from app.numerics.system import Measure, System, block_norm
 
-# Rounding of a row in units of eps |diagonal| |temperature|: about the root of its entries.
+# Rounding error of a row in units of eps |diagonal| |temperature|: about the square root of its
+# number of entries.
 ROUNDING = 2.0
-# Heat has this part of the solver's tolerance: errors of hundreds of solves add up in its balance,
-# and temperatures are kept between their bounds to 1e-9 of the range.
+# Tolerance of heat over the solver's tolerance. Errors of hundreds of solves add up in the balance
+# of heat, and temperatures stay between their bounds to 1e-9 of the range.
 RELATIVE_TOLERANCE = 1e-2
 KEPT_FACTORS: Options = {"pc_type": "python", "pc_python_type": "app.heat.matrices.KeptFactors"}
 
@@ -61,14 +61,14 @@ class HeatEvaluation:
     """Nodal values of one state, shared by its residual, Jacobian and reports.
 
     Attributes:
-        given: The state, and pressures and heat of friction, which are set from outside.
+        inputs: The state, then contact pressures and heat of friction if there are any.
         T: Temperature of owned nodes of each body (b, n) [K].
         residual_heat: Residual heat, without interfaces (b, n) [N mm/s].
-        parts: Terms of that residual but conduction, by body [N mm/s].
+        parts: Terms of the residual except conduction, one array for each term and body [N mm/s].
         flux: Heat flux at owned points, and its derivatives (`TemperatureJumps.flux`).
     """
 
-    given: list[Floats]
+    inputs: list[Floats]
     T: Floats
     residual_heat: Floats
     parts: list[Floats]
@@ -76,12 +76,13 @@ class HeatEvaluation:
 
 
 class ImplicitStep(System):
-    """The solve prepared by ``begin``.
+    """System of one implicit solve, which ``begin`` prepares.
 
     Attributes:
         operators: The operators of heat.
         seconds: Time at the end of the solve last begun [s].
-        vectors: Makes new vectors: temperature of owned nodes, with jumps also of owned points.
+        vectors: Makes new vectors: temperatures of owned nodes, then jumps of owned points if
+            there are any.
     """
 
     prefix = "mantle_heat_"
@@ -92,40 +93,40 @@ class ImplicitStep(System):
     def __init__(self, operators: HeatOperators) -> None:
         self.operators, self.comm = operators, operators.comm
         self.seconds = 0.0
-        self._is_held = operators.fixed.base >= 0
-        self._blocks = HeatMatrices(operators.principle.matrices, operators.jumps, self._is_held)
+        self._is_prescribed = operators.fixed.base_condition >= 0
+        self._blocks = HeatMatrices(
+            operators.principle.matrices, operators.jumps, self._is_prescribed
+        )
         self.vectors = self._blocks.vectors
         self._inverse_length = 1.0
-        self._start_temperatures, self._source_heat = (
-            operators.forms.zeros(),
-            operators.forms.zeros(),
-        )
-        self._given_values: list[Floats] = []
+        self._start_temperatures = operators.forms.zeros()
+        self._source_heat = operators.forms.zeros()
+        self._prescribed_values: list[Floats] = []
         self._last_evaluation: HeatEvaluation | None = None
         self._work = self._blocks.matrix[0][0].createVecs()
         self._fill()
 
     @property
     def version(self) -> int:
-        """Number of changes of the matrices from one time step to the next."""
+        """Number of times that the linear parts of the matrices were filled."""
         return self._blocks.version
 
     def blocks(self) -> dict[str, PETSc.Vec]:
-        """Temperature, and with finite conductance its jumps."""
+        """Continuous temperature and, if an interface has a finite conductance, its jumps."""
         # Without such an interface there is no second block.
         return dict(zip(("temperature", "temperature_jump"), self.vectors(), strict=False))
 
     def matrices(self) -> list[list[PETSc.Mat | None]]:
-        """Capacity, conduction and exchange; conductance."""
+        """Blocks of the Jacobian by rows and columns of `blocks`."""
         return [list(row) for row in self._blocks.matrix]
 
     def options(self, linear: str) -> dict[str, Options]:
-        """Both blocks at once if direct; multigrid for the temperature, direct for the jumps."""
+        """Options by block: one direct solver for both blocks, or one preconditioner for each."""
         if is_direct(linear, self._blocks.matrix[0][0].getSize()[0]):
             # Low conductance couples the jumps strongly: block Gauss-Seidel takes many iterations.
             return {"": KEPT_FACTORS}
-        every: dict[str, Options] = {"temperature": MULTIGRID, "temperature_jump": INTERFACE}
-        return {name: every[name] for name in self.blocks()}
+        by_block: dict[str, Options] = {"temperature": MULTIGRID, "temperature_jump": INTERFACE}
+        return {name: by_block[name] for name in self.blocks()}
 
     def initial(self) -> list[PETSc.Vec]:
         """The state at the start."""
@@ -133,24 +134,28 @@ class ImplicitStep(System):
         T = operators.initial()
         jumps = operators.jumps
         if jumps is not None:
-            x[1].array[:] = T[jumps.bodies[:, 1], jumps.dof] - T[jumps.bodies[:, 0], jumps.dof]
+            master, slave = jumps.bodies.T
+            x[1].array[:] = T[slave, jumps.dof] - T[master, jumps.dof]
         capacity = operators.capacity
         continuous = capacity * (T - operators.temperature_by_jumps(x[-1]))
         x[0].array[:] = continuous.sum(axis=0) / capacity.sum(axis=0)
-        self._set_given(0.0)
+        self._prescribe(0.0)
         self.impose(x)
         return x
 
     def begin(
         self, start: Sequence[Floats], degrees: Sequence[Floats], h: float, seconds: float
     ) -> bool:
-        """Prepare a solve; False if it starts from inadmissible degrees of cure; collective.
+        """Prepare a solve; collective.
 
         Args:
-            start: Temperatures of owned nodes, with jumps also of owned points, at the start [K].
-            degrees: Degrees of cure at its start, of owned nodes of each curing region.
+            start: State at the start of the interval, one array for each block [K].
+            degrees: Degrees of cure at the start, of owned nodes of each curing region.
             h: Length of the interval [s]; infinite for a steady state.
-            seconds: Time at its end, since the start of the run.
+            seconds: Time at the end of the interval, since the start of the run [s].
+
+        Returns:
+            False if the interval starts from inadmissible degrees of cure.
 
         Raises:
             InputError: A steady state does not exist: nothing sets the temperature of a body.
@@ -159,37 +164,42 @@ class ImplicitStep(System):
         for vector, values in zip(x, start, strict=True):
             vector.array[:] = values
         self._start_temperatures = operators.nodal(x)
-        self.seconds, self._last_evaluation = seconds, None
+        self.seconds = seconds
+        self._last_evaluation = None
         self._source_heat = operators.loads.heat_into_nodes(seconds)
-        self._set_given(seconds)
+        self._prescribe(seconds)
         if math.isinf(h):
-            self._refuse_cut_off()
+            self._refuse_isolated_bodies()
         self._inverse_length = 1 / h
         if self._filled_for != (self._inverse_length, operators.principle.version):
             self._fill()
         return operators.cure is None or operators.cure.begin(degrees, h, seconds)
 
-    def _refuse_cut_off(self) -> None:
-        """Refuse bodies that no heat path connects to a temperature set from outside."""
+    def _refuse_isolated_bodies(self) -> None:
+        """Refuse bodies that no heat path connects to a prescribed or surrounding temperature."""
         operators = self.operators
-        has_temperature = (operators.loads.per_kelvin > 0) | (operators.fixed.of_body >= 0)
-        is_set = np.any(self.comm.allgather(has_temperature.any(axis=1)), axis=0)
-        group = np.arange(len(is_set))
-        for i, c in enumerate(operators.scene.thermal_contacts):
-            if operators.jumps and max(c.law.conductances[:2]) > 0:
+        is_set_at_node = operators.loads.per_kelvin > 0
+        is_set_at_node |= operators.fixed.condition_of_body >= 0
+        is_set = np.any(self.comm.allgather(is_set_at_node.any(axis=1)), axis=0)
+        pairs: list[tuple[int, int]] = []
+        for index, interface in enumerate(operators.scene.thermal_contacts):
+            if operators.jumps and max(interface.law.conductances[:2]) > 0:
                 points = operators.jumps.points
-                for first, second in np.unique(points.bodies[points.interface == i], axis=0):
-                    group[group == group[second]] = group[first]
-        for c in operators.scene.sliding_heat:
-            first, second = (operators.bodies.of_region[side[0]] for side in (c.master, c.slave))
-            group[group == group[second]] = group[first]
-        unset_bodies = np.flatnonzero(~np.isin(group, group[is_set]))
-        if len(unset_bodies):
+                of_interface = points.bodies[points.interface == index]
+                pairs += [(int(a), int(b)) for a, b in np.unique(of_interface, axis=0)]
+        body_of_region = operators.bodies.of_region
+        for interface in operators.scene.sliding_heat:
+            pairs.append((body_of_region[interface.master[0]], body_of_region[interface.slave[0]]))
+        # Bodies that exchange heat have the same group.
+        group = np.arange(len(is_set))
+        for master, slave in pairs:
+            group[group == group[slave]] = group[master]
+        isolated = np.flatnonzero(~np.isin(group, group[is_set]))
+        if len(isolated):
             raise InputError(
                 f"stages: there is no steady state: nothing sets the temperature of "
-                f"'{operators.bodies.names[unset_bodies[0]]}'; "
-                "allowed: a given temperature, convection or "
-                "perfusion on it, or an interface that conducts"
+                f"'{operators.bodies.names[isolated[0]]}'; allowed: a given temperature, "
+                "convection or perfusion on it, or an interface that conducts"
             )
 
     def set_exchange(self, exchange: MeanExchange) -> None:
@@ -199,48 +209,51 @@ class ImplicitStep(System):
         self._fill()
 
     def _fill(self) -> None:
-        self._last_evaluation, operators = None, self.operators
+        operators = self.operators
+        self._last_evaluation = None
         self._filled_for = self._inverse_length, operators.principle.version
         self._blocks.fill(
             operators.principle.matrices,
             operators.capacity * self._inverse_length + operators.loads.per_kelvin,
         )
 
-    def _set_given(self, seconds: float) -> None:
+    def _prescribe(self, seconds: float) -> None:
+        """Evaluate the prescribed temperatures and jumps at a time [s]; collective."""
         fixed = self.operators.fixed
         values = fixed.values(seconds)
-        self._given_values = fixed.blocks(values, self.operators.jumps)
-        given = fixed.by_body(values)[fixed.of_body >= 0]
-        self.operators.principle.include_data(given, self._source_heat)
+        self._prescribed_values = fixed.blocks(values, self.operators.jumps)
+        temperatures = fixed.by_body(values)[fixed.condition_of_body >= 0]
+        self.operators.principle.include_data(temperatures, self._source_heat)
 
     def impose(self, x: Sequence[PETSc.Vec]) -> None:
-        """Set given temperatures and jumps in a state."""
-        x[0].array[self._is_held] = self._given_values[0][self._is_held]
+        """Set prescribed temperatures and jumps in a state."""
+        x[0].array[self._is_prescribed] = self._prescribed_values[0][self._is_prescribed]
         jumps = self.operators.jumps
         if jumps is not None:
-            x[1].array[jumps.prescribed] = self._given_values[1][jumps.prescribed]
+            x[1].array[jumps.prescribed] = self._prescribed_values[1][jumps.prescribed]
 
     def evaluate(self, x: Sequence[PETSc.Vec]) -> HeatEvaluation:
         """Evaluate a state, unless it is the last one evaluated; collective."""
-        operators = self.operators
-        inputs = [v.array_r for v in x]
-        inputs += [operators.jumps.pressure] if operators.jumps else []
-        inputs += [operators.friction.nodal] if operators.friction else []
+        operators, jumps = self.operators, self.operators.jumps
+        inputs = [vector.array_r for vector in x]
+        if jumps is not None:
+            inputs.append(jumps.pressure)
+        if operators.friction:
+            inputs.append(operators.friction.nodal)
         if self._last_evaluation is not None:
-            # Compared on all ranks, as the rest is collective: one may see a change, another none.
-            is_same = all(map(np.array_equal, inputs, self._last_evaluation.given))
+            # The rest is collective, and inputs may change on some ranks only: all ranks agree.
+            is_same = all(map(np.array_equal, inputs, self._last_evaluation.inputs))
             if self.comm.allreduce(is_same, MPI.LAND):
                 return self._last_evaluation
         T = operators.nodal(x)
         stored = self._inverse_length * operators.capacity * (T - self._start_temperatures)
         terms = [operators.loads.exchanged(T), stored, -self._source_heat]
-        terms += [-operators.cure.heat_into_nodes(T)] if operators.cure else []
-        terms += [-operators.friction.nodal] if operators.friction else []
-        terms += (
-            [operators.exchange.heat_into_nodes(T - operators.reference)]
-            if operators.exchange
-            else []
-        )
+        if operators.cure:
+            terms.append(-operators.cure.heat_into_nodes(T))
+        if operators.friction:
+            terms.append(-operators.friction.nodal)
+        if operators.exchange:
+            terms.append(operators.exchange.heat_out_of_nodes(T - operators.reference))
         residual_heat = np.empty_like(T)
         temperature_rise, heat_flow = self._work
         for b, K in enumerate(operators.principle.matrices):
@@ -249,19 +262,19 @@ class ImplicitStep(System):
             residual_heat[b] = heat_flow.array_r
         for term in terms:
             residual_heat += term
-        parts = [of_body for term in terms for of_body in term]
-        flux = operators.jumps.flux(inputs[1]) if operators.jumps else None
-        if operators.jumps and flux:
-            parts.append(operators.jumps.weight * flux[0])
-        self._last_evaluation = HeatEvaluation(
-            [a.copy() for a in inputs], T, residual_heat, parts, flux
-        )
+        parts = [body_term for term in terms for body_term in term]
+        flux = None
+        if jumps is not None:
+            flux = jumps.flux(x[1].array_r)
+            parts.append(jumps.weight * flux[0])
+        input_copies = [values.copy() for values in inputs]
+        self._last_evaluation = HeatEvaluation(input_copies, T, residual_heat, parts, flux)
         return self._last_evaluation
 
     def residual(self, x: Sequence[PETSc.Vec], f: Sequence[PETSc.Vec]) -> None:
-        """Residual heat, zero where temperatures are given [N mm/s]."""
+        """Residual heat, zero at prescribed temperatures and jumps [N mm/s]."""
         evaluation, jumps = self.evaluate(x), self.operators.jumps
-        f[0].array[:] = np.where(self._is_held, 0.0, evaluation.residual_heat.sum(axis=0))
+        f[0].array[:] = np.where(self._is_prescribed, 0.0, evaluation.residual_heat.sum(axis=0))
         if jumps is not None and evaluation.flux:
             total = -jumps.weight * evaluation.flux[0]
             for b, B in jumps.moves.items():
@@ -272,7 +285,7 @@ class ImplicitStep(System):
             f[1].array[:] = np.where(jumps.prescribed, 0.0, total)
 
     def jacobian(self, x: Sequence[PETSc.Vec]) -> None:
-        """Set the blocks of the Jacobian to a state."""
+        """Set the blocks of the Jacobian at a state."""
         evaluation, jumps, cure = self.evaluate(x), self.operators.jumps, self.operators.cure
         by_jump = -jumps.weight * evaluation.flux[1] if jumps and evaluation.flux else None
         self._blocks.set(by_jump, cure.heat_by_temperature(evaluation.T) if cure else {})
@@ -280,7 +293,9 @@ class ImplicitStep(System):
     def degrees(self, x: Sequence[PETSc.Vec]) -> list[Floats]:
         """Degrees of cure in a state, of owned nodes of each curing region."""
         cure = self.operators.cure
-        return [d.degree for d in cure.degrees_at(self.operators.nodal(x))] if cure else []
+        if cure is None:
+            return []
+        return [region.degree for region in cure.degrees_at(self.operators.nodal(x))]
 
     def measure(self, x: Sequence[PETSc.Vec], f: Sequence[PETSc.Vec]) -> list[Measure]:
         """Size of a residual f of a state x [N mm/s]; collective.
@@ -289,13 +304,16 @@ class ImplicitStep(System):
         large and cancels in a state that hardly changes.
         """
         evaluation = self.evaluate(x)
-        parts = [
-            np.where(self._is_held, evaluation.residual_heat.sum(axis=0), 0.0),
-            *evaluation.parts,
+        supplied_by_conditions = np.where(
+            self._is_prescribed, evaluation.residual_heat.sum(axis=0), 0.0
+        )
+        parts = [supplied_by_conditions, *evaluation.parts]
+        diagonal_terms = [
+            diagonal * vector.array_r
+            for diagonal, vector in zip(self._blocks.diagonal(), x, strict=True)
         ]
-        diagonal_terms = [d * v.array_r for d, v in zip(self._blocks.diagonal(), x, strict=True)]
-        local = np.array([float(a @ a) for a in (*parts, *diagonal_terms)])
-        norms = np.sqrt(np.array(self.comm.allreduce(local, MPI.SUM)))
+        local_squares = np.array([float(a @ a) for a in (*parts, *diagonal_terms)])
+        norms = np.sqrt(np.array(self.comm.allreduce(local_squares, MPI.SUM)))
         scale = float(norms[: len(parts)].sum())
         rounding = ROUNDING * float(np.finfo(float).eps) * float(norms[len(parts) :].sum())
         return [Measure(block_norm(list(f)), RELATIVE_TOLERANCE * scale, rounding, lasting=False)]
@@ -303,58 +321,56 @@ class ImplicitStep(System):
     def flows(self, x: Sequence[PETSc.Vec]) -> dict[str, float]:
         """Heat that enters the model per time in a state, by condition [N mm/s]; collective.
 
-        Their sum is the rate at which heat is stored in the interval last begun, to the tolerance
-        of the solver.
+        The sum of all flows is the rate at which heat is stored in the interval last begun, to the
+        tolerance of the solver.
         """
         evaluation, operators = self.evaluate(x), self.operators
         heats: dict[str, float] = {}
-        for c, nodal in operators.loads.heating:
-            heats[c.name] = multiplier(c.time_course, self.seconds) * float(nodal.sum())
-        for e in operators.loads.exchange:
-            heats[e.name] = float((e.per_kelvin * (e.outside - evaluation.T)).sum())
-        if operators.cure:
-            for n, heat in zip(
-                operators.cure.nodes, operators.cure.released(evaluation.T), strict=True
-            ):
-                heats[f"cure {n.region}"] = float(heat.sum())
+        for condition, nodal in operators.loads.heating:
+            factor = multiplier(condition.time_course, self.seconds)
+            heats[condition.name] = factor * float(nodal.sum())
+        for exchange in operators.loads.exchange:
+            temperature_difference = exchange.outside - evaluation.T
+            heats[exchange.name] = float((exchange.per_kelvin * temperature_difference).sum())
+        cure = operators.cure
+        if cure:
+            for nodes, heat in zip(cure.nodes, cure.released(evaluation.T), strict=True):
+                heats[f"cure {nodes.region}"] = float(heat.sum())
+        # At prescribed temperatures the residual heat is the heat that their conditions supply.
         residual_heat = evaluation.residual_heat.copy()
         jumps = operators.jumps
         if jumps and evaluation.flux:
             flow_through_points = jumps.weight * evaluation.flux[0]
             np.add.at(residual_heat, (jumps.bodies[:, 0], jumps.dof), flow_through_points)
             np.add.at(residual_heat, (jumps.bodies[:, 1], jumps.dof), -flow_through_points)
-        for s, condition in enumerate(operators.fixed.conditions):
-            heats[condition.name] = float(residual_heat[operators.fixed.of_body == s].sum())
+        for index, fixed in enumerate(operators.fixed.conditions):
+            is_fixed = operators.fixed.condition_of_body == index
+            heats[fixed.name] = float(residual_heat[is_fixed].sum())
         sums = self.comm.allreduce(np.array(list(heats.values())))
         total_heat = dict(zip(heats, map(float, sums), strict=True))
         return total_heat | (operators.friction.flows if operators.friction else {})
 
     def heat_through_interfaces(self, x: Sequence[PETSc.Vec]) -> dict[str, float]:
-        """Heat per time from the first side to the second [N mm/s]; collective.
+        """Heat per time from the first side to the second, by interface [N mm/s]; collective.
 
-        By interface of finite conductance, without friction heat.
+        The interfaces are those of finite conductance. Friction heat is excluded.
         """
         evaluation, operators = self.evaluate(x), self.operators
         into_slave: dict[str, float] = {}
         jumps = operators.jumps
         if jumps and evaluation.flux:
-            for i, c in enumerate(operators.scene.thermal_contacts):
-                at_interface = jumps.interface == i
-                into_slave[c.name] = float(
-                    jumps.weight[at_interface] @ evaluation.flux[0][at_interface]
-                )
+            for index, interface in enumerate(operators.scene.thermal_contacts):
+                rows = jumps.interface == index
+                heat = jumps.weight[rows] @ evaluation.flux[0][rows]
+                into_slave[interface.name] = float(heat)
         if operators.exchange:
-            heat_out = operators.exchange.heat_into_nodes(evaluation.T - operators.reference).sum(
-                axis=0
-            )
-            into_slave |= {
-                n: -float(heat_out[rows].sum()) for n, rows in operators.exchange.slaves.items()
-            }
-        swapped = {
-            c.name
-            for c in (*operators.scene.thermal_contacts, *operators.scene.sliding_heat)
-            if c.swapped
-        }
-        oriented_heat = [-heat if n in swapped else heat for n, heat in into_slave.items()]
-        total = self.comm.allreduce(np.array(oriented_heat))
+            heat_by_body = operators.exchange.heat_out_of_nodes(evaluation.T - operators.reference)
+            heat_out = heat_by_body.sum(axis=0)
+            for name, nodes in operators.exchange.slaves.items():
+                into_slave[name] = -float(heat_out[nodes].sum())
+        # Fluxes are from master to slave; the master may be the second side of the case.
+        for interface in (*operators.scene.thermal_contacts, *operators.scene.sliding_heat):
+            if interface.swapped and interface.name in into_slave:
+                into_slave[interface.name] *= -1.0
+        total = self.comm.allreduce(np.array(list(into_slave.values())))
         return dict(zip(into_slave, map(float, total), strict=True))

@@ -43,7 +43,7 @@ class HeatOperators:
     Attributes:
         bodies: Thermal bodies: regions joined by all but interfaces of finite conductance.
         loads: Heat sources and exchange with surroundings.
-        fixed: Given temperatures.
+        fixed: Prescribed temperatures.
         jumps: The temperature jumps, if an interface has a finite conductance.
         capacity: Heat capacity of owned nodes in each body (b, n) [N mm/K].
         reference: Temperature at which heat is zero [K].
@@ -67,7 +67,9 @@ class HeatOperators:
         self.fixed = FixedTemperatures(scene, forms)
         self.jumps: TemperatureJumps | None = None
         if scene.thermal_contacts:
-            self.jumps = TemperatureJumps(scene, tagged, self.bodies, forms, self.fixed.of_body)
+            self.jumps = TemperatureJumps(
+                scene, tagged, self.bodies, forms, self.fixed.condition_of_body
+            )
             self.fixed.join(self.jumps)
         self.capacity = forms.zeros()
         for c in scene.conductors:
@@ -105,7 +107,7 @@ class HeatOperators:
         """Temperature of owned nodes of each body at the start (b, n) [K].
 
         Regions of different temperature in perfect contact get the mean by capacity at shared
-        nodes, which conserves heat. Given temperatures apply from the start.
+        nodes, which conserves heat. Prescribed temperatures apply from the start.
         """
         heat = self.forms.zeros()
         for c in self.scene.conductors:
@@ -114,7 +116,7 @@ class HeatOperators:
             heat[self.bodies.of_region[c.region]] += nodal * above
         T = self.reference + heat / np.where(self.capacity > 0, self.capacity, 1.0)
         fixed = self.fixed
-        return np.where(fixed.of_body >= 0, fixed.by_body(fixed.values(0.0)), T)
+        return np.where(fixed.condition_of_body >= 0, fixed.by_body(fixed.values(0.0)), T)
 
     def temperature_by_jumps(self, τ: PETSc.Vec | None) -> Floats:
         """Temperature of owned nodes of each body due to jumps (b, n) [K]."""
@@ -172,7 +174,7 @@ class InitialJump:
             sums[body_nodes] += c.effusivity * c.initial_temperature
             lowest[body_nodes] = np.minimum(lowest[body_nodes], c.initial_temperature)
             highest[body_nodes] = np.maximum(highest[body_nodes], c.initial_temperature)
-        is_initial_contact = (lowest < highest) & (operators.fixed.of_body < 0)
+        is_initial_contact = (lowest < highest) & (operators.fixed.condition_of_body < 0)
         diagonal = np.array([k.getDiagonal().array for k in principle.matrices])
         self._contact_temperature = np.divide(
             sums, effusivity, out=forms.zeros(), where=is_initial_contact

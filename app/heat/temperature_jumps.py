@@ -6,9 +6,10 @@ interfaces excluded, and q the heat from master to slave per area,
 
 .. math:: \sum_b r_b = 0, \qquad \sum_b B_b^T r_b - W q(τ, p) = 0,
 
-W the areas of the points. A large conductance makes jumps small and causes no cancellation; without
-any the two sides are decoupled. Where interfaces meet, or one or both sides have given
-temperatures, the rules of displacement hold (`app.interfaces.contact_points`).
+with the areas W of the points. A large conductance makes jumps small and causes no cancellation.
+Without conductance the two sides are decoupled. The rules of displacement
+(`app.interfaces.contact_points`) also apply to temperature: at vertices where interfaces meet, and
+if one or both sides have prescribed temperatures.
 """
 
 from __future__ import annotations
@@ -34,86 +35,109 @@ class TemperatureJumps:
     """Jumps at all interfaces of finite conductance.
 
     Attributes:
-        points: All points, replicated; component 0 of data by component.
+        points: All points, replicated. Temperature uses component 0 of data by component.
         owned_rows: Rows of ``points`` that this rank owns (n,).
         dof: Owned node of each owned point (n,).
-        interface: Number of the owned points' interfaces in ``scene.thermal_contacts`` (n,).
+        interface: Index in ``scene.thermal_contacts`` of the interface of each owned point (n,).
         bodies: Thermal bodies (master, slave) of owned points (n, 2).
         weight: Areas of owned points (n,) [mm2].
-        prescribed: True where both sides of an owned point have given temperatures (n,).
-        prescribing_condition: Conditions at master and slave of owned points, -1 where the jump is
-            free (n, 2).
-        moves: B_b of each body whose temperature includes jumps.
-        pressure: Contact pressure at owned points (n,) [MPa], set from outside.
-        friction: Friction heat per area at owned points (n,) [N/(mm s)], set from outside.
+        prescribed: Mask of owned points whose two sides have prescribed temperatures (n,).
+        prescribing_condition: Conditions that prescribe the temperatures of master and slave at
+            owned points, -1 where the jump is free (n, 2).
+        moves: Matrix B_b of each body whose temperature depends on jumps.
+        pressure: Contact pressure at owned points (n,) [MPa], set by the mechanics.
+        friction: Friction heat per area at owned points (n,) [N/(mm s)], set by the mechanics.
         share: Share of the friction heat that enters the slave (n,).
 
     Args:
-        prescribed: Condition with a given temperature at owned nodes of each body, or -1 (b, n).
+        scene: The laws.
+        tagged: The mesh.
+        bodies: Thermal bodies.
+        forms: Forms of heat on the mesh.
+        condition_of_body: Condition that prescribes the temperature at owned nodes of each body, or
+            -1 (b, n).
 
     Raises:
         InputError: An interface has no facets on this mesh.
     """
 
     def __init__(
-        self, scene: Scene, tagged: TaggedMesh, bodies: Bodies, forms: HeatForms, prescribed: Ints
+        self,
+        scene: Scene,
+        tagged: TaggedMesh,
+        bodies: Bodies,
+        forms: HeatForms,
+        condition_of_body: Ints,
     ) -> None:
         contacts = scene.thermal_contacts
         comm, index_map = forms.comm, forms.space.dofmap.index_map
         facets = contact_facets(tagged, bodies, forms.space, contacts, {})
-        holds = _held_vertices(forms, facets, prescribed)
+        constraints = _vertex_constraints(forms, facets, condition_of_body)
         names = [c.name for c in contacts]
-        self.points, entries = contact_points(facets, holds, names, {}, by_face=False)
+        self.points, entries = contact_points(facets, constraints, names, {}, by_face=False)
         self.owned_rows, number_of_point = owners(comm, index_map, self.points.dof)
         begin, end = index_map.local_range
-        n = len(self.owned_rows)
+        point_count = len(self.owned_rows)
         self.dof = self.points.dof[self.owned_rows] - begin
         self.interface = self.points.interface[self.owned_rows]
         self.bodies = self.points.bodies[self.owned_rows]
         self.weight = self.points.weight[self.owned_rows]
         self.prescribing_condition = self.points.prescribing_support[self.owned_rows, 0]
         self.prescribed = self.prescribing_condition[:, 0] >= 0
-        # Temperature has one component where displacement has three.
-        owned = (entries.column % 3 == 0) & (entries.row >= 3 * begin) & (entries.row < 3 * end)
-        row, column = entries.row[owned] // 3 - begin, entries.column[owned] // 3
-        body, value = entries.body[owned], entries.value[owned]
+        # Entries are for three components of displacement. Temperature uses the first one.
+        is_used = (entries.column % 3 == 0) & (entries.row >= 3 * begin) & (entries.row < 3 * end)
+        body = entries.body[is_used]
+        row = entries.row[is_used] // 3 - begin
+        column = number_of_point[entries.column[is_used] // 3]
+        value = entries.value[is_used]
         self.moves: dict[int, PETSc.Mat] = {}
         for b in map(int, np.unique(entries.body)):
-            i = body == b
-            columns = number_of_point[column[i]]
-            self.moves[b] = from_triplets(comm, forms.owned, n, row[i], columns, value[i])
-        self.pressure: Floats = np.zeros(n)
-        self.friction: Floats = np.zeros(n)
-        shares = {f.name: f.slave_share for f in scene.friction_heat}
-        self.share = np.array([shares.get(c.name, 0.0) for c in contacts])[self.interface]
+            rows = body == b
+            self.moves[b] = from_triplets(
+                comm, forms.owned, point_count, row[rows], column[rows], value[rows]
+            )
+        self.pressure: Floats = np.zeros(point_count)
+        self.friction: Floats = np.zeros(point_count)
+        share_of_interface = {f.name: f.slave_share for f in scene.friction_heat}
+        shares = np.array([share_of_interface.get(c.name, 0.0) for c in contacts])
+        self.share = shares[self.interface]
         with forms.compiling():
             inputs = ("p", "τ", "open", "per_pressure", "cap")
             self._law = Pointwise(
                 comm,
-                n,
+                point_count,
                 dict.fromkeys(inputs, 1),
                 lambda x: interface_heat.flux_and_derivatives(*(x[name] for name in inputs)),
             )
-        laws = np.array([c.law.conductances for c in contacts])[self.interface]
-        self._law.set(open=laws[:, 0], per_pressure=laws[:, 1], cap=laws[:, 2])
+        conductances = np.array([c.law.conductances for c in contacts])[self.interface]
+        self._law.set(
+            open=conductances[:, 0], per_pressure=conductances[:, 1], cap=conductances[:, 2]
+        )
 
     def flux(self, τ: Floats) -> tuple[Floats, Floats, Floats]:
-        """Heat q from master to slave [N/(mm s)] at owned jumps τ [K], dq/dτ and dq/dp."""
+        """Heat flux q from master to slave [N/(mm s)] at jumps τ of owned points (n,) [K].
+
+        Returns:
+            q, dq/dτ [N/(mm s K)] and dq/dp [N/(mm s MPa)], each (n,).
+        """
         q, by_jump, by_pressure = self._law(p=self.pressure, τ=τ)
         return q, by_jump, by_pressure
 
 
-def _held_vertices(
-    forms: HeatForms, facets: InterfaceFacets, prescribed: Ints
+def _vertex_constraints(
+    forms: HeatForms, facets: InterfaceFacets, condition_of_body: Ints
 ) -> VertexConstraints:
-    """Given temperatures at the vertices of interfaces, as supports hold displacement."""
+    """Prescribed temperatures at the vertices of interfaces, as supports of all components.
+
+    Collective. ``condition_of_body`` is the condition at owned nodes of each body, or -1 (b, n).
+    """
     start = forms.space.dofmap.index_map.local_range[0]
-    dof, first = np.unique(facets.dofs[:, :3], return_index=True)
-    owned = (dof >= start) & (dof < start + forms.owned)
-    node, vertex = dof[owned] - start, facets.vertices.ravel()[first[owned]]
-    body, row = np.nonzero(prescribed[:, node] >= 0)
-    columns = gather(forms.comm, vertex[row], body, prescribed[body, node[row]])
-    rigid = np.zeros(len(columns[0]), dtype=bool)
-    return VertexConstraints(
-        columns[0], columns[1], np.repeat(columns[2][:, None], 3, axis=1), rigid
-    )
+    dof, corner = np.unique(facets.dofs[:, :3], return_index=True)
+    is_owned = (dof >= start) & (dof < start + forms.owned)
+    node = dof[is_owned] - start
+    vertex = facets.vertices.ravel()[corner[is_owned]]
+    body, row = np.nonzero(condition_of_body[:, node] >= 0)
+    condition = condition_of_body[body, node[row]]
+    vertex, body, condition = gather(forms.comm, vertex[row], body, condition)
+    support = np.repeat(condition[:, None], 3, axis=1)
+    return VertexConstraints(vertex, body, support, rigid=np.zeros(len(vertex), dtype=bool))

@@ -19,7 +19,7 @@ from dolfinx import fem
 from app.case.summary import Numbers, ThermalNumbers
 from app.foundation.arrays import Bools, Floats, Ints
 from app.heat.heat_forms import HeatForms
-from app.heat.nodes import InterfaceNodes, Probe, Probes, Side, ThermalNodes, region_nodes
+from app.heat.nodes import InterfaceNodes, ProbePoint, Probes, Side, ThermalNodes, region_nodes
 from app.heat.operators import HeatOperators
 from app.numerics.saved_state import node_keys
 from app.results.level_sets import RegionCells
@@ -200,7 +200,7 @@ class ThermalRecord:
         of_region: Mapping[str, int],
         interfaces: Interfaces,
         bone: Sequence[str],
-        probes: Mapping[str, Probe],
+        probes: Mapping[str, ProbePoint],
         faces: Mapping[str, tuple[Ints, Ints]] | None = None,
     ) -> None:
         self._comm = forms.comm

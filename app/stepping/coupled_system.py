@@ -191,7 +191,7 @@ class CoupledSystem(ContactSystem):
         operators, heats = self._heat.operators, self.exchange.nodal_heat
         scaling = self._heat.vectors()
         nodes = [matrix_sum(heats)]
-        is_fixed = [operators.fixed.base >= 0]
+        is_fixed = [operators.fixed.base_condition >= 0]
         jumps = operators.jumps
         if jumps is not None:
             nodes.append(matrix_sum([B.transposeMatMult(heats[b]) for b, B in jumps.moves.items()]))

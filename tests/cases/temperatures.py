@@ -12,7 +12,7 @@ import numpy as np
 from dolfinx import fem, mesh
 
 from app.heat.heat_forms import HeatForms
-from app.heat.nodes import Probe
+from app.heat.nodes import ProbePoint
 from app.results.thermal_record import ThermalRecord
 from app.scene.bodies import Bodies
 from app.system.timing import Timing
@@ -37,7 +37,9 @@ def two_blocks(comm: MPI.Comm) -> TaggedMesh:
 class Play:
     """Plays temperatures in degC, functions of place (n, 3) and time, to a record."""
 
-    def __init__(self, tagged: TaggedMesh, bone: State, cement: State, **probes: Probe) -> None:
+    def __init__(
+        self, tagged: TaggedMesh, bone: State, cement: State, **probes: ProbePoint
+    ) -> None:
         forms = HeatForms(tagged, BODIES, Timing())
         self.space = forms.space
         self.states = (bone, cement)

@@ -299,7 +299,7 @@ def test_conduction_jacobian_is_the_derivative() -> None:
     for v in x:
         v.array[:] += rng.uniform(-5.0, 5.0, v.getLocalSize())
     c.impose(x)
-    for v, held in zip(d, (operators.fixed.base >= 0, j.prescribed), strict=True):
+    for v, held in zip(d, (operators.fixed.base_condition >= 0, j.prescribed), strict=True):
         v.array[:] = np.where(held, 0.0, rng.uniform(-1.0, 1.0, v.getLocalSize()))
     c.jacobian(x)
     f0 = c.vectors()

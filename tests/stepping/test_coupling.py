@@ -53,7 +53,7 @@ def test_coupled_system_taylor_remainder_is_of_second_order(
     solver, problem = c.solver, c.model.mechanical_path.problem
     operators, j = c.model.thermal.operators, problem.contact
     held = [
-        operators.fixed.base >= 0,
+        operators.fixed.base_condition >= 0,
         *([operators.jumps.prescribed] if operators.jumps else []),
         problem.stiffness.constraints.constrained,
         j.points.held[j.local.rows].ravel(),
