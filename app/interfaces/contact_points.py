@@ -1,6 +1,7 @@
-"""Contact points: where the two sides of an interface can part, on a conforming mesh.
+"""Contact points on a conforming mesh: vertices at which the two sides of an interface can part.
 
-A contact point is a mesh vertex seen from one interface. It carries:
+A contact point is a mesh vertex on one interface; a vertex on several interfaces has several
+points. A point has:
 
 * the jump of that interface: the displacement of the slave side minus that of the master side;
 * the normals of its faces. Facets that meet at less than 30 degrees are one face. A vertex on an
@@ -9,27 +10,27 @@ A contact point is a mesh vertex seen from one interface. It carries:
   flat facet.
 
 On curved cells normals are those of the curved facets, so that a smooth surface is one face on any
-mesh. Straight facets have the normals of the smooth surface
-that is fitted to their vertices (`smooth_normals`). The law acts along these normals; area and
-force are those of the facets around the point.
+mesh. Straight facets have the normals of the smooth surface that is fitted to their vertices
+(`smooth_normals`). The law acts along these normals; area and force are those of the facets around
+the point.
 
-Rules where things meet, for each displacement component of a vertex:
+Rules for each displacement component of a vertex where bodies and interfaces meet:
 
-* The displacement of one body, the base, is the continuous field u itself; every other body there
-  adds jumps to it. The base is a rigid body, then a body that a support holds in this component,
-  otherwise the stiffest one; if they are equally stiff, it is the master. A jump that moves the
-  softer side has nearly the stiffness of the two bodies in contact.
-* A vertex with k bodies has k - 1 jumps. If more interfaces meet, the jumps of some follow from
-  those of the others: these are dependent corners, which are no points. `_forest` chooses them
-  independently of the order in the case file.
+* One body is the base. Its displacement is the continuous field u itself, and every other body at
+  the vertex adds jumps to u. The base is a rigid body if there is one, then a body with a support
+  of this component, then the stiffest body; of two equally stiff bodies it is the master. A jump
+  that moves the softer side has nearly the stiffness of the two bodies in contact.
+* A vertex with k bodies has k - 1 jumps. If more interfaces than that meet, some jumps follow from
+  the others. Corners with such jumps are dependent corners; they are no points. `_independent`
+  chooses them independently of the order in the case file.
 * A dependent corner gives its area and its jump to points of the same interface next to it. The
-  unknown of such a point is the mean jump, by area, of the point and its part of the corner; on
-  an edge, the mean is over each face alone. Its law holds in the mean. A constant pressure is
-  transmitted exactly, and areas sum to the area.
-* Where supports hold both sides of a jump, the jump is given by them and the interface carries no
-  reported force in that component; the normals drop it.
-* The components are along x, y, z. A vertex that a support holds along another direction has local
-  axes. The jumps themselves are along x, y, z everywhere.
+  unknown of such a point is the mean jump, by area, of the point and its part of the corner. On an
+  edge, the mean is over each face alone. The law then holds in the mean: a constant pressure is
+  transmitted exactly, and the areas of the points sum to the area of the interface.
+* If supports prescribe both sides of a jump, the jump is prescribed. The interface then has no
+  reported force in this component, and the component is projected out of the normals.
+* The components are along x, y, z. A vertex with a support along another direction has local axes.
+  The jumps themselves are always along x, y, z.
 
 All facets of the contact interfaces are gathered on every rank and sorted by the vertex numbers of
 the mesh file, so that the result does not depend on the partition. They are few.
@@ -52,9 +53,9 @@ from app.interfaces.corners import (
     Corners,
     Entries,
     VertexConstraints,
-    vertices_of_bodies,
+    vertex_body_pairs,
 )
-from app.interfaces.faces import drop_held, faces_around, projectors, shared
+from app.interfaces.faces import drop_prescribed, faces_around, projectors, shared
 from app.interfaces.interface_facets import InterfaceFacets
 from meshes.facets import bends
 
@@ -66,7 +67,7 @@ COSINE_DECIMALS = 1
 
 def contact_points(
     facets: InterfaceFacets,
-    holds: VertexConstraints,
+    constraints: VertexConstraints,
     interfaces: Sequence[str],
     axes: Mapping[int, Floats],
     by_face: bool = True,
@@ -75,89 +76,94 @@ def contact_points(
 
     Args:
         facets: All facets.
-        holds: Constrained displacement components.
+        constraints: Constrained displacement components of vertices.
         interfaces: Names of the interfaces.
-        axes: Local axes (3, 3) of vertices that have them.
-        by_face: Whether each face of a point has a separate pressure. False for a field with one
+        axes: Local axes (3, 3), by vertex, of vertices that have them.
+        by_face: True if each face of a point has a separate pressure. False for a field with one
             component, whose flux does not depend on normals.
 
     Raises:
         InputError: An interface has no point that could carry its force.
     """
-    surface, doubt, stiffness, count = _surface(facets, holds, interfaces)
-    of_points = {field.name: getattr(surface, field.name)[:count] for field in fields(Corners)}
+    surface, normal_error, stiffness, count = _surface(facets, constraints, interfaces)
+    # Views of the first corners: changes of their normals and faces below also change `surface`.
+    first_corners = {field.name: getattr(surface, field.name)[:count] for field in fields(Corners)}
     vertex, bodies = surface.vertex[:count], surface.bodies[:count]
-    _check_rigid(vertex, bodies, surface.interface[:count], facets, holds, interfaces)
-    prescribing_support, signs = _jumps_at_vertices(vertex, bodies, stiffness[:count], holds)
+    normals, faces = surface.normals[:count], surface.faces[:count]
+    _refuse_two_rigid_bodies(
+        vertex, bodies, surface.interface[:count], facets, constraints, interfaces
+    )
+    prescribing_support, signs = _jumps_at_vertices(vertex, bodies, stiffness[:count], constraints)
     local_axes = np.tile(np.eye(3), (count, 1, 1))
     for p in np.flatnonzero(np.isin(vertex, list(axes))):
         local_axes[p] = axes[int(vertex[p])]
-    normals, faces = surface.normals[:count], surface.faces[:count]
-    is_held = prescribing_support[:, :, 0] >= 0
-    held_projectors = projectors(local_axes, is_held)
+    is_prescribed = prescribing_support[:, :, 0] >= 0
+    prescribed_projectors = projectors(local_axes, is_prescribed)
     normal_cosines = np.abs(np.einsum("pki,pic->pkc", normals, local_axes)).max(axis=1)
-    held_tangents = projectors(local_axes, is_held & (normal_cosines < TANGENTIAL))
-    drop_held(normals, faces, held_projectors)
-    held_tangents[faces == 0] = 0.0
+    is_tangential = normal_cosines < TANGENTIAL
+    prescribed_tangents = projectors(local_axes, is_prescribed & is_tangential)
+    drop_prescribed(normals, faces, prescribed_projectors)
+    prescribed_tangents[faces == 0] = 0.0
     points = ContactPoints(
-        **of_points,
-        doubt=doubt[:count],
+        **first_corners,
+        normal_error=normal_error[:count],
         prescribing_support=prescribing_support,
         axes=local_axes,
-        held_tangents=held_tangents,
+        prescribed_tangents=prescribed_tangents,
         surface=surface,
     )
     entries = _entries(facets, points, signs)
     if count == len(surface.vertex):
         return points, entries
-    # Imported here: interfaces that do not meet need no scipy.
+    # Imported late: interfaces that do not meet need no scipy.
     from app.interfaces.dependent_corners import handed_areas, in_means
 
-    handed = handed_areas(facets, surface, held_projectors, interfaces, by_face)
+    handed = handed_areas(facets, surface, prescribed_projectors, interfaces, by_face)
     return in_means(facets, points, entries, handed, interfaces, by_face)
 
 
 def _surface(
-    facets: InterfaceFacets, holds: VertexConstraints, interfaces: Sequence[str]
+    facets: InterfaceFacets, constraints: VertexConstraints, interfaces: Sequence[str]
 ) -> tuple[ContactSurface, Floats, Floats, int]:
     """Corners, points first, with the normals of their faces.
 
     Returns:
-        The corners, the doubt about their normals (m,) [rad], the moduli on both sides (m, 2)
-        [MPa], and the number of points.
+        The corners, the standard error of their normals (m,) [rad], the moduli on both sides
+        (m, 2) [MPa], and the number of points.
     """
     facet = np.repeat(np.arange(len(facets.area)), 3)
     keys = np.column_stack([facets.interface[facet], facets.vertices.ravel(), facets.bodies[facet]])
-    all_corners, first, corner_numbers = np.unique(
+    # Corners in the order of interface, vertex, master and slave, and one facet corner of each.
+    all_corners, facet_corner, corner_rows = np.unique(
         keys, axis=0, return_index=True, return_inverse=True
     )
-    corner_numbers = corner_numbers.ravel()
-    normals, faces, area, doubt = faces_around(facets, corner_numbers, len(all_corners))
-    supports = holds.supports_of(all_corners[:, 1], all_corners[:, 2:])
-    prescribed: Bools = np.any(np.all(supports >= 0, axis=1), axis=1)
-    is_point = _forest(facets, all_corners, corner_numbers, prescribed, normals, interfaces)
+    corner_rows = corner_rows.ravel()
+    normals, faces, area, normal_error = faces_around(facets, corner_rows, len(all_corners))
+    supports = constraints.supports_of(all_corners[:, 1], all_corners[:, 2:])
+    is_prescribed: Bools = np.any(np.all(supports >= 0, axis=1), axis=1)
+    is_point = _independent(facets, all_corners, corner_rows, is_prescribed, normals, interfaces)
     order = np.concatenate([np.flatnonzero(is_point), np.flatnonzero(~is_point)])
-    corners = np.argsort(order)[corner_numbers].reshape(-1, 3)
+    corners = np.argsort(order)[corner_rows].reshape(-1, 3)
     stiffness = np.zeros((len(all_corners), 2))
     np.maximum.at(stiffness, corners.ravel(), facets.stiffness[facet])
-    of_interface = [np.flatnonzero(facets.interface == i) for i in range(len(interfaces))]
+    facet_rows = [np.flatnonzero(facets.interface == i) for i in range(len(interfaces))]
     surface = ContactSurface(
         interface=all_corners[order, 0],
         vertex=all_corners[order, 1],
-        dof=facets.dofs[:, :3].ravel()[first[order]],
-        x=facets.x.reshape(-1, 3)[first[order]],
+        dof=facets.dofs[:, :3].ravel()[facet_corner[order]],
+        x=facets.x.reshape(-1, 3)[facet_corner[order]],
         bodies=all_corners[order, 2:],
         normals=normals[order],
         faces=faces[order],
         weight=area[order],
-        triangles=tuple(corners[f] for f in of_interface),
-        facets=tuple(of_interface),
+        triangles=tuple(corners[rows] for rows in facet_rows),
+        facets=tuple(facet_rows),
     )
-    return surface, doubt[order], stiffness, int(is_point.sum())
+    return surface, normal_error[order], stiffness, int(is_point.sum())
 
 
 def _entries(facets: InterfaceFacets, points: ContactPoints, signs: Floats) -> Entries:
-    """Displacement of the bodies by the jumps of the points.
+    """Displacement of the bodies due to the jumps of the points.
 
     ``signs`` are the signs of the jumps in the displacement of each body (b, n, 3), along the axes
     of the points.
@@ -165,252 +171,299 @@ def _entries(facets: InterfaceFacets, points: ContactPoints, signs: Floats) -> E
     body, point = np.nonzero(signs.any(axis=2))
     blocks = projectors(points.axes[point], signs[body, point])
     blocks[np.abs(blocks) < ROUNDING] = 0.0
-    moves = [(body, points.dof[point], point, blocks)]
+    node = points.dof[point]
     if facets.dofs.shape[1] == 6:
-        moves.append(_at_edges(facets, points, body, point, blocks))
-    body, node, point, blocks = (np.concatenate(part) for part in zip(*moves, strict=True))
-    k, row, column = np.nonzero(blocks)
-    value = blocks[k, row, column]
-    return Entries(body[k], 3 * node[k] + row, 3 * point[k] + column, value)
+        edge_body, edge_node, edge_point, edge_blocks = _edge_moves(
+            facets, points, body, point, blocks
+        )
+        body = np.concatenate([body, edge_body])
+        node = np.concatenate([node, edge_node])
+        point = np.concatenate([point, edge_point])
+        blocks = np.concatenate([blocks, edge_blocks])
+    move, row, column = np.nonzero(blocks)
+    value = blocks[move, row, column]
+    return Entries(body[move], 3 * node[move] + row, 3 * point[move] + column, value)
 
 
-def _forest(
+def _independent(
     facets: InterfaceFacets,
     all_corners: Ints,
-    corner_numbers: Ints,
-    prescribed: Bools,
+    corner_rows: Ints,
+    is_prescribed: Bools,
     normals: Floats,
     names: Sequence[str],
 ) -> Bools:
-    """Mask of the corners that are points (m,): the edges of a forest of bodies at each vertex.
+    """Mask of the corners that are points (m,): corners with independent jumps.
 
-    At each vertex corners become points in this order:
+    At a vertex, bodies and corners are the nodes and edges of a graph. The points are the edges of
+    a spanning forest. Corners become points in this order:
 
     1. Corners of interfaces that would have no point at all.
-    2. Corners whose jump supports prescribe: otherwise bodies between the two would be held, too.
+    2. Corners whose jump supports prescribe. Otherwise bodies between the two would be held, too.
     3. Corners without a point to which they could give their force.
-    4. Corners whose normals agree with the others there: the bars of a T before its stem.
+    4. Corners whose normals agree with others of the vertex: the bars of a T before its stem.
     5. Corners of the larger interface, then by name.
 
     Args:
         facets: All facets.
         all_corners: Interface, vertex, master and slave of all corners (m, 4).
-        corner_numbers: Row in ``all_corners`` of each corner of the facets (3 f,).
-        prescribed: Mask of corners with both sides held along an axis (m,).
+        corner_rows: Row in ``all_corners`` of each corner of the facets (3 f,).
+        is_prescribed: Mask of the corners whose jump supports prescribe along an axis (m,).
         normals: Unit normals of the corners (m, 3, 3).
         names: Names of the interfaces.
     """
-    groups = shared(all_corners[:, 1])
-    crowded = np.zeros(len(all_corners), dtype=bool)
-    for rows in groups:
-        crowded[rows] = len(rows) >= len(np.unique(all_corners[rows, 2:]))
-    corners = corner_numbers.reshape(-1, 3)
-    has_point = (~crowded[corners]).any(axis=1)
-    supported = np.zeros(len(all_corners), dtype=bool)
-    supported[corners[has_point].ravel()] = True
-    sides = np.unique(all_corners[:, [0, 2, 3]], axis=0, return_inverse=True)[1].ravel()
-    size = np.bincount(sides[corner_numbers], facets.area.ravel())
-    total = float(size.sum())
-    needed = np.zeros(len(size), dtype=bool)
+    corners_of_vertices = shared(all_corners[:, 1])
+    # A vertex with as many corners as bodies, or more, has dependent corners.
+    is_crowded = np.zeros(len(all_corners), dtype=bool)
+    for rows in corners_of_vertices:
+        is_crowded[rows] = len(rows) >= len(np.unique(all_corners[rows, 2:]))
+    corners = corner_rows.reshape(-1, 3)
+    has_point = (~is_crowded[corners]).any(axis=1)
+    # Corners with a point of the same interface in one of their facets.
+    is_near_point = np.zeros(len(all_corners), dtype=bool)
+    is_near_point[corners[has_point].ravel()] = True
+    # An interface between other bodies counts separately.
+    pair = np.unique(all_corners[:, [0, 2, 3]], axis=0, return_inverse=True)[1].ravel()
+    area_of_pair = np.bincount(pair[corner_rows], facets.area.ravel())
+    total_area = float(area_of_pair.sum())
+    needs_point = np.zeros(len(area_of_pair), dtype=bool)
 
-    def rank(p: int, rows: Ints) -> tuple[bool, bool, bool, float, float, str, int, int]:
-        other_points = rows[rows != p]
-        cosines = np.abs(np.einsum("ki,qji->kqj", normals[p], normals[other_points]))
-        area = float(np.round(size[sides[p]] / total, 6))
+    def preference(
+        corner: int, corners_of_vertex: Ints
+    ) -> tuple[bool, bool, bool, float, float, str, int, int]:
+        """Key by which the corners of a vertex are sorted: lower ones become points first."""
+        interface, _, master, slave = map(int, all_corners[corner])
+        other_corners = corners_of_vertex[corners_of_vertex != corner]
+        cosines = np.abs(np.einsum("ki,qji->kqj", normals[corner], normals[other_corners]))
         largest_cosine = float(np.round(cosines.max(initial=0.0), COSINE_DECIMALS))
-        preferences = not needed[sides[p]], not prescribed[p], bool(supported[p])
-        name = names[int(all_corners[p, 0])]
+        area_fraction = float(np.round(area_of_pair[pair[corner]] / total_area, 6))
         return (
-            *preferences,
+            not needs_point[pair[corner]],
+            not is_prescribed[corner],
+            bool(is_near_point[corner]),
             -largest_cosine,
-            -area,
-            name,
-            int(all_corners[p, 2]),
-            int(all_corners[p, 3]),
+            -area_fraction,
+            names[interface],
+            master,
+            slave,
         )
 
     while True:
         is_point = np.ones(len(all_corners), dtype=bool)
-        for rows in groups:
-            if not crowded[rows[0]]:
+        for rows in corners_of_vertices:
+            if not is_crowded[rows[0]]:
                 continue
+            # Bodies that points join have the same group.
             group = {int(body): int(body) for body in all_corners[rows, 2:].ravel()}
-            for p in sorted(map(int, rows), key=partial(rank, rows=rows)):
-                a, b = (group[int(body)] for body in all_corners[p, 2:])
-                is_point[p] = a != b
-                group = {body: a if g == b else g for body, g in group.items()}
-        without_point = (np.bincount(sides, is_point) == 0) & ~needed
-        if not without_point.any():
+            by_preference = sorted(map(int, rows), key=partial(preference, corners_of_vertex=rows))
+            for corner in by_preference:
+                master_group, slave_group = (group[int(body)] for body in all_corners[corner, 2:])
+                is_point[corner] = master_group != slave_group
+                for body, label in group.items():
+                    if label == slave_group:
+                        group[body] = master_group
+        has_no_point = (np.bincount(pair, is_point) == 0) & ~needs_point
+        if not has_no_point.any():
             return is_point
-        needed |= without_point
+        needs_point |= has_no_point
 
 
 def _jumps_at_vertices(
-    vertex: Ints, sides: Ints, stiffness: Floats, holds: VertexConstraints
+    vertex: Ints, sides: Ints, stiffness: Floats, constraints: VertexConstraints
 ) -> tuple[Ints, Floats]:
     """Prescribed jumps, and motion of each body due to the jumps, in the components of vertices.
 
+    Args:
+        vertex: Vertices of the points (n,).
+        sides: Master and slave of the points (n, 2).
+        stiffness: Moduli of master and slave (n, 2) [MPa].
+        constraints: Constrained components of vertices.
+
     Returns:
-        ``prescribing_support`` of ContactPoints; +1, -1 or 0 for each body, point and component
-        (b, n, 3).
+        ``prescribing_support`` of ContactPoints (n, 3, 2), and the signs +1, -1 or 0 of the jumps
+        in the displacement of each body (b, n, 3).
     """
     count = len(vertex)
-    support_of_side = holds.supports_of(vertex, sides)
-    rigid = holds.rigid_bodies(vertex, sides)
+    support_of_side = constraints.supports_of(vertex, sides)
+    is_rigid = constraints.rigid_bodies(vertex, sides)
     is_held = support_of_side >= 0
     prescribing_support = np.where(is_held.all(axis=1, keepdims=True), support_of_side, -1)
-    # One interface at the vertex: the slave moves by +q, or the master by -q if the slave is the
-    # base: it alone is held, both are and it comes first, or none is and it is stiffer.
+    # Vertices on one interface: the slave moves by +q. If the slave is the base, the master moves
+    # by -q. The slave is the base if it alone is held, if both sides are held and it has the lower
+    # number, or if no side is held and it is stiffer.
     slave_is_base = is_held[:, 1] & (~is_held[:, 0] | (sides[:, 1] < sides[:, 0])[:, None])
     slave_is_base |= ~is_held.any(axis=1) & (stiffness[:, 1] > stiffness[:, 0])[:, None]
-    one_is_rigid = rigid.any(axis=1)
-    slave_is_base[one_is_rigid] = rigid[one_is_rigid, 1:]
+    one_is_rigid = is_rigid.any(axis=1)
+    slave_is_base[one_is_rigid] = is_rigid[one_is_rigid, 1:]
     signs = np.zeros((int(sides.max()) + 1, count, 3))
     signs[sides[:, 0], np.arange(count)] = -1.0 * slave_is_base
     signs[sides[:, 1], np.arange(count)] = ~slave_is_base
     for rows in shared(vertex):
         signs[:, rows] = 0.0
-        for c in range(3):
-            base = [int(body) for body in sides[rows][rigid[rows]]]
-            _tree(
+        rigid_bodies = [int(body) for body in sides[rows][is_rigid[rows]]]
+        for component in range(3):
+            _set_jumps_at_vertex(
                 rows,
                 sides,
-                support_of_side[:, :, c],
+                support_of_side[:, :, component],
                 stiffness,
-                prescribing_support[:, :, c],
-                signs[:, :, c],
-                base,
+                prescribing_support[:, :, component],
+                signs[:, :, component],
+                rigid_bodies,
             )
     return prescribing_support.transpose(0, 2, 1), signs
 
 
-def _check_rigid(
+def _refuse_two_rigid_bodies(
     vertex: Ints,
     sides: Ints,
     interface: Ints,
     facets: InterfaceFacets,
-    holds: VertexConstraints,
+    constraints: VertexConstraints,
     names: Sequence[str],
 ) -> None:
-    """Refuse vertices with two rigid bodies, of which only one can be the base.
+    """Refuse vertices with two rigid bodies that can move: only one body can be the base.
 
     Args:
         vertex: Vertices of the points (n,).
-        sides: Bodies of the points (n, 2).
+        sides: Master and slave of the points (n, 2).
         interface: Interfaces of the points (n,).
         facets: All facets.
-        holds: Constrained components; which nodes move with rigid regions.
+        constraints: Constrained components of vertices, and masks of rigid regions.
         names: Names of the interfaces.
 
     Raises:
-        InputError: There is such a vertex; names the interfaces and the place.
+        InputError: There is such a vertex; names the interfaces and the position.
     """
-    rigid = holds.rigid & (holds.support < 0).any(axis=1)
-    moves = {*vertices_of_bodies(holds.vertex[rigid], holds.body[rigid])}
+    moves_rigidly = constraints.rigid & (constraints.support < 0).any(axis=1)
+    rigid_pairs = {
+        *vertex_body_pairs(constraints.vertex[moves_rigidly], constraints.body[moves_rigidly])
+    }
     for rows in shared(vertex):
         v = int(vertex[rows[0]])
-        if sum((v, int(body)) in moves for body in np.unique(sides[rows])) > 1:
+        rigid_count = sum((v, int(body)) in rigid_pairs for body in np.unique(sides[rows]))
+        if rigid_count > 1:
             x, y, z = facets.x[facets.vertices == v][0]
-            names_there = ", ".join(names[i] for i in np.unique(interface[rows]))
+            meeting_names = ", ".join(names[i] for i in np.unique(interface[rows]))
             raise InputError(
-                f"interfaces {names_there}: two rigid regions that can move meet a third body at "
+                f"interfaces {meeting_names}: two rigid regions that can move meet a third body at "
                 f"({x:.4g}, {y:.4g}, {z:.4g}) mm; hold one of them in all directions by a support, "
                 "or make it elastic"
             )
 
 
-def _tree(
+def _set_jumps_at_vertex(
     rows: Ints,
     sides: Ints,
     support: Ints,
     stiffness: Floats,
     prescribing_support: Ints,
     signs: Floats,
-    rigid: Sequence[int],
+    rigid_bodies: Sequence[int],
 ) -> None:
-    """Fill both arrays at a vertex with several interfaces, in one component.
+    """Set prescribed jumps and signs of one component at a vertex on several interfaces.
 
-    Walk the forest of bodies from a rigid body, else from a constrained one (the lowest), else from
-    the stiffest one. Between two constrained bodies every jump on the way is prescribed. A free
-    body moves with the body from which it is reached.
+    Walk the forest of bodies from a rigid body, then from a held body (the lowest number), then
+    from the stiffest body. All jumps between two held bodies are prescribed. A body that is not
+    held moves with the body from which it is reached.
+
+    Args:
+        rows: Points at the vertex (k,).
+        sides: Master and slave of all points (n, 2).
+        support: Support of the component on both sides, or -1 (n, 2).
+        stiffness: Moduli of both sides (n, 2) [MPa].
+        prescribing_support: Supports that prescribe the jump (n, 2); set in place.
+        signs: Signs of the jumps in the displacement of each body (b, n); set in place.
+        rigid_bodies: Rigid bodies at the vertex.
     """
-    point_sides, holding = sides[rows], support[rows]
-    is_supported = holding >= 0
-    support_of_body = dict(
-        zip(map(int, point_sides[is_supported]), map(int, holding[is_supported]), strict=True)
-    )
+    point_sides, point_supports = sides[rows], support[rows]
+    is_held = point_supports >= 0
+    held_bodies = map(int, point_sides[is_held])
+    support_of_body = dict(zip(held_bodies, map(int, point_supports[is_held]), strict=True))
     bodies = dict.fromkeys(map(int, point_sides.ravel()))
-    stiffest = sorted(
-        bodies, key=lambda b: float(stiffness[rows][point_sides == b].max()), reverse=True
-    )
-    base: dict[int, int] = {}
-    for root in (*rigid, *sorted(support_of_body), *stiffest):
-        if root in base:
+
+    def largest_stiffness(body: int) -> float:
+        return float(stiffness[rows][point_sides == body].max())
+
+    stiffest_first = sorted(bodies, key=largest_stiffness, reverse=True)
+    root_of_body: dict[int, int] = {}
+    for root in (*rigid_bodies, *sorted(support_of_body), *stiffest_first):
+        if root in root_of_body:
             continue
-        base[root] = root
-        for p in [*rows] * len(rows):  # as far as the longest chain
+        root_of_body[root] = root
+        # A chain has at most as many points as the vertex: as many passes reach its end.
+        for p in [*rows] * len(rows):
             master, slave = map(int, sides[p])
             for reached, unreached, sign in ((master, slave, 1.0), (slave, master, -1.0)):
-                if reached in base and unreached not in base:
-                    base[unreached] = root
+                if reached in root_of_body and unreached not in root_of_body:
+                    root_of_body[unreached] = root
                     signs[unreached, rows] = signs[reached, rows]
                     signs[unreached, p] = sign
     for body in support_of_body:
+        root_support = support_of_body.get(root_of_body[body], -1)
         for p in rows[signs[body, rows] != 0]:
-            other_support = support_of_body.get(base[body], -1)
-            prescribing_support[p] = [support_of_body.get(int(b), other_support) for b in sides[p]]
+            prescribing_support[p] = [support_of_body.get(int(b), root_support) for b in sides[p]]
 
 
-def _at_edges(
+def _edge_moves(
     facets: InterfaceFacets, points: ContactPoints, body: Ints, point: Ints, blocks: Floats
 ) -> tuple[Ints, Ints, Ints, Floats]:
-    """Return the moves of edge nodes. The jump is linear: the middle has half the jump of each end.
+    """Moves of the nodes in the middle of edges, from the moves of vertices.
 
-    The middle of a curved edge has its `bends`, too. Without them a second-order cylinder would not
-    open between its nodes.
+    A move is the block (3, 3) that a jump adds to the displacement of a body at a node. The jump is
+    linear along an edge: its middle has half the jump of each end. The middle of a curved edge
+    also has its `bends`. Without them a second-order cylinder would not open between its nodes.
 
     Args:
         facets: All facets.
         points: All points.
-        body: Body of each move of a vertex.
-        point: Its point.
-        blocks: Its blocks (3, 3).
+        body: Body of each move of a vertex (k,).
+        point: Point of each move (k,).
+        blocks: Block of each move (k, 3, 3).
 
     Returns:
         Body, dof of the edge, point and block (3, 3) of each move of an edge node.
     """
-    # Every (edge, body) of the interfaces once, with both ends; vertices are sorted, so that an
-    # edge runs the same way in every facet.
-    a, b = [1, 0, 0], [2, 2, 1]
-    edges = np.stack([facets.dofs[:, 3:], facets.vertices[:, a], facets.vertices[:, b]], axis=2)
-    of_sides = [
-        np.column_stack([edges.reshape(-1, 3), np.repeat(side, 3)]) for side in facets.bodies.T
+    # Every pair of edge and body at the interfaces once, with both ends of the edge. The vertices
+    # of facets are sorted, so that an edge has the same direction in every facet.
+    starts = [1, 0, 0]
+    ends = [2, 2, 1]
+    edges_of_facets = np.stack(
+        [facets.dofs[:, 3:], facets.vertices[:, starts], facets.vertices[:, ends]], axis=2
+    )
+    edges_of_sides = [
+        np.column_stack([edges_of_facets.reshape(-1, 3), np.repeat(side_bodies, 3)])
+        for side_bodies in facets.bodies.T
     ]
-    rows, first = np.unique(np.concatenate(of_sides), axis=0, return_index=True)
-    bend: Floats = np.zeros((len(rows), 3, 3))
+    edges, first_rows = np.unique(np.concatenate(edges_of_sides), axis=0, return_index=True)
+    edge_dof, edge_ends, edge_body = edges[:, 0], edges[:, 1:3], edges[:, 3]
+    bend: Floats = np.zeros((len(edges), 3, 3))
     if facets.nodes.shape[1] == 6:
-        corner = first % (3 * len(edges))
-        start, end = (facets.x[:, k].reshape(-1, 3)[corner] for k in (a, b))
-        bend = bends(start, end, facets.nodes[:, 3:].reshape(-1, 3)[corner])
-    # A jump prescribed at both ends may be constrained in the middle too.
-    vertices, first_points, number = np.unique(
+        facet_edge = first_rows % (3 * len(edges_of_facets))
+        start = facets.x[:, starts].reshape(-1, 3)[facet_edge]
+        end = facets.x[:, ends].reshape(-1, 3)[facet_edge]
+        bend = bends(start, end, facets.nodes[:, 3:].reshape(-1, 3)[facet_edge])
+    # A component that is prescribed at both ends may also be constrained in the middle: no bend.
+    vertices, first_points, vertex_row = np.unique(
         points.vertex, return_index=True, return_inverse=True
     )
-    is_held = np.zeros((len(vertices), 3), dtype=bool)
-    np.logical_or.at(is_held, number, points.held)
-    end_projectors = projectors(points.axes[first_points], is_held)[
-        np.searchsorted(vertices, rows[:, 1:3])
-    ]
+    is_prescribed = np.zeros((len(vertices), 3), dtype=bool)
+    np.logical_or.at(is_prescribed, vertex_row, points.is_prescribed)
+    vertex_projectors = projectors(points.axes[first_points], is_prescribed)
+    end_projectors = vertex_projectors[np.searchsorted(vertices, edge_ends)]
     bend = (np.eye(3) - end_projectors[:, 0] @ end_projectors[:, 1]) @ bend
-    middles = np.concatenate([np.eye(3) / 2 - bend, np.eye(3) / 2 + bend])
-    # Of each (end, edge, body), the moves of the body at the end.
+    # Factors of the jumps at the starts of all edges, then at their ends.
+    end_factors = np.concatenate([np.eye(3) / 2 - bend, np.eye(3) / 2 + bend])
+    # For each end of each edge, the moves of the edge's body at this vertex: keys are equal.
     stride = int(vertices[-1]) + 1
-    key = body * stride + points.vertex[point]
-    needed_keys = (rows[:, 3] * stride + rows[:, 1:3].T).ravel()
-    order = np.argsort(key, kind="stable")
-    low = np.searchsorted(key, needed_keys, "left", order)
-    high = np.searchsorted(key, needed_keys, "right", order)
-    end = np.repeat(np.arange(len(needed_keys)), high - low)
-    inside = np.arange(len(end)) + (high - np.cumsum(high - low))[end]
-    edge, move = rows[end % len(rows)], order[inside]
-    return edge[:, 3], edge[:, 0], point[move], middles[end] @ blocks[move]
+    move_key = body * stride + points.vertex[point]
+    end_key = (edge_body * stride + edge_ends.T).ravel()
+    by_key = np.argsort(move_key, kind="stable")
+    low = np.searchsorted(move_key, end_key, "left", by_key)
+    high = np.searchsorted(move_key, end_key, "right", by_key)
+    move_count = high - low
+    edge_end = np.repeat(np.arange(len(end_key)), move_count)
+    position_in_order = np.arange(len(edge_end)) + (high - np.cumsum(move_count))[edge_end]
+    move = by_key[position_in_order]
+    edge = edge_end % len(edges)
+    return edge_body[edge], edge_dof[edge], point[move], end_factors[edge_end] @ blocks[move]

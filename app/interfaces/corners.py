@@ -16,17 +16,17 @@ from app.foundation.arrays import Bools, Floats, Ints
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-# Parts of a jump below this are rounding.
+# Factors of jumps below this are rounding errors.
 ROUNDING = 1e-12
-# Number in place of a support where the supports of a rigid region together prescribe the motion.
+# Stands for the index of a support if the supports of a rigid region together prescribe a motion.
 RIGIDLY = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True)
 class Corners:
-    """Corners of the facets of interfaces, replicated on all ranks in canonical order (m of them).
+    """Corners of the facets of interfaces (m of them), on all ranks in the same order.
 
-    A vertex has a corner for each interface and each pair of bodies that meet there.
+    A vertex has one corner for each interface and each pair of bodies that meet there.
 
     Attributes:
         interface: Index of the interface (m,).
@@ -34,7 +34,7 @@ class Corners:
         dof: Global blocked dof at the vertex (m,).
         x: Position (m, 3) [mm].
         bodies: Bodies (master, slave) (m, 2).
-        faces: Number of faces, 1 to 3, or 0 where supports hold every component (m,).
+        faces: Number of faces, 1 to 3, or 0 if supports prescribe every component (m,).
         normals: Unit normals of the faces, zero beyond ``faces`` (m, 3, 3).
         weight: Area (m,) [mm2].
     """
@@ -51,13 +51,13 @@ class Corners:
 
 @dataclass(frozen=True)
 class Dependence:
-    """Quantities at all corners (m of them) by those at the points (n of them).
+    """Matrices from quantities at the points (n of them) to quantities at all corners (m of them).
 
     Attributes:
-        values: Factors of values, the fractions of the areas of the corners (m, n).
-        forces: Factors of forces per area (3 m, 3 n).
-        pressures: Factors of the pressures of faces, as means over whole corners (3 m, 3 n).
-        jumps: Factors of the mean jumps of the points (3 m, 3 n).
+        values: For values: the fraction of the area of a corner that each point has (m, n).
+        forces: For forces per area (3 m, 3 n).
+        pressures: For pressures of faces, which are means over whole corners (3 m, 3 n).
+        jumps: From the mean jumps of the points to the jumps at the corners (3 m, 3 n).
     """
 
     values: csr_array
@@ -68,12 +68,12 @@ class Dependence:
 
 @dataclass(frozen=True)
 class ContactSurface(Corners):
-    """All corners: the n points, each with its area alone, then the dependent corners.
+    """All corners: first the n points, each without its part of dependent corners, then the rest.
 
     Attributes:
-        triangles: For each interface, its facets as rows of corners (f_i, 3).
-        facets: For each interface, the numbers of these facets (f_i,).
-        dependence: Quantities at the corners by those at the points; None if all are points.
+        triangles: For each interface, the corners of its facets (f_i, 3).
+        facets: For each interface, the indices of these facets in `InterfaceFacets` (f_i,).
+        dependence: Matrices from points to corners; None if all corners are points.
     """
 
     triangles: tuple[Ints, ...]
@@ -84,8 +84,8 @@ class ContactSurface(Corners):
         """Values at the corners (m, ...) from those at the points (n, ...), by area."""
         if self.dependence is None:
             return values
-        flat = self.dependence.values @ values.reshape(len(values), -1)
-        return np.asarray(flat.reshape(-1, *values.shape[1:]))
+        corner_values = self.dependence.values @ values.reshape(len(values), -1)
+        return np.asarray(corner_values.reshape(-1, *values.shape[1:]))
 
     def spread_forces(self, forces: Floats) -> Floats:
         """Forces per area of the corners (m, 3) from those per area of the points (n, 3) [MPa]."""
@@ -112,13 +112,12 @@ class ContactSurface(Corners):
         """Mean jumps of the points (n, 3, k) from jumps at the corners (m, 3, k) [mm]."""
         if self.dependence is None:
             return jumps
-        # Forces do the same work in both.
-        work = self.dependence.forces.T @ (self.weight[:, None, None] * jumps).reshape(
-            -1, jumps.shape[2]
-        )
-        points = self.dependence.values.shape[1]
+        # Forces do the same work on mean jumps at points as on jumps at corners.
+        weighted_jumps = (self.weight[:, None, None] * jumps).reshape(-1, jumps.shape[2])
+        work = self.dependence.forces.T @ weighted_jumps
+        point_count = self.dependence.values.shape[1]
         area = self.dependence.values.T @ self.weight
-        return np.asarray(work.reshape(points, 3, -1) / area[:, None, None])
+        return np.asarray(work.reshape(point_count, 3, -1) / area[:, None, None])
 
     def spread_status(self, status: Ints) -> Ints:
         """States of the corners (m,).
@@ -127,7 +126,8 @@ class ContactSurface(Corners):
         """
         if self.dependence is None:
             return status
-        return status[np.asarray(self.dependence.values.toarray().argmax(axis=1)).ravel()]
+        largest_share = np.asarray(self.dependence.values.toarray().argmax(axis=1)).ravel()
+        return status[largest_share]
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ class VertexConstraints:
         body: Body (h,).
         support: Index of the support of each component, -1 where it is free (h, 3); `RIGIDLY`
             where the supports of a rigid region together prescribe the motion.
-        rigid: Mask of nodes that move with a rigid region of the body (h,).
+        rigid: Mask of the rows whose node moves with a rigid region of the body (h,).
     """
 
     vertex: Ints
@@ -148,27 +148,30 @@ class VertexConstraints:
     rigid: Bools
 
     def supports_of(self, vertex: Ints, bodies: Ints) -> Ints:
-        """Return the support of each component of both bodies at vertices, or -1 (n, 2, 3)."""
-        support = dict(zip(vertices_of_bodies(self.vertex, self.body), self.support, strict=True))
+        """Support of each component of both bodies at vertices, or -1 (n, 2, 3).
+
+        Args:
+            vertex: Vertices (n,).
+            bodies: Master and slave at each vertex (n, 2).
+        """
+        pairs = vertex_body_pairs(self.vertex, self.body)
+        support_of_pair = dict(zip(pairs, self.support, strict=True))
         no_support = np.full(3, -1)
-        rows = [support.get(pair, no_support) for pair in _of_both(vertex, bodies)]
-        return np.array(rows).reshape(len(vertex), 2, 3)
+        sides = vertex_body_pairs(np.repeat(vertex, 2), bodies.ravel())
+        supports = [support_of_pair.get(pair, no_support) for pair in sides]
+        return np.array(supports).reshape(len(vertex), 2, 3)
 
     def rigid_bodies(self, vertex: Ints, bodies: Ints) -> Bools:
-        """Return True for each body that moves with a rigid region at vertices (n, 2)."""
-        rigid = {*vertices_of_bodies(self.vertex[self.rigid], self.body[self.rigid])}
-        rows = [pair in rigid for pair in _of_both(vertex, bodies)]
-        return np.array(rows, dtype=bool).reshape(len(vertex), 2)
+        """Mask of the bodies (n, 2) that move with a rigid region at vertices (n,)."""
+        rigid_pairs = {*vertex_body_pairs(self.vertex[self.rigid], self.body[self.rigid])}
+        sides = vertex_body_pairs(np.repeat(vertex, 2), bodies.ravel())
+        is_rigid = [pair in rigid_pairs for pair in sides]
+        return np.array(is_rigid, dtype=bool).reshape(len(vertex), 2)
 
 
-def vertices_of_bodies(vertex: Ints, body: Ints) -> Iterator[tuple[int, int]]:
-    """Vertices with bodies, one pair for each row."""
+def vertex_body_pairs(vertex: Ints, body: Ints) -> Iterator[tuple[int, int]]:
+    """Pairs of vertex and body, one for each row."""
     return zip(map(int, vertex), map(int, body), strict=True)
-
-
-def _of_both(vertex: Ints, bodies: Ints) -> Iterator[tuple[int, int]]:
-    """Vertices (n,), each with its master, then with its slave (n, 2)."""
-    return vertices_of_bodies(np.repeat(vertex, 2), bodies.ravel())
 
 
 @dataclass(frozen=True)
@@ -177,43 +180,44 @@ class ContactPoints(Corners):
 
     Attributes:
         weight: Area of the point, with its part of dependent corners (n,) [mm2].
-        doubt: Standard error of the direction of its normals (n,) [rad].
-        prescribing_support: Supports (master, slave) that fix each component of the jump, -1 where
-            it is free (n, 3, 2).
+        normal_error: Standard error of the direction of its normals (n,) [rad].
+        prescribing_support: Supports of master and slave that prescribe each component of the
+            jump, -1 where it is free (n, 3, 2).
         axes: Axes of these components, as columns (n, 3, 3).
-        held_tangents: Projectors on prescribed directions that are tangential to all faces:
-            friction acts along them, too (n, 3, 3).
+        prescribed_tangents: Projectors on prescribed directions that are tangential to all faces
+            (n, 3, 3). Friction acts along these directions, too.
         surface: All corners of the facets, also the dependent ones.
     """
 
-    doubt: Floats
+    normal_error: Floats
     prescribing_support: Ints
     axes: Floats
-    held_tangents: Floats
+    prescribed_tangents: Floats
     surface: ContactSurface
 
     @property
     def triangles(self) -> tuple[Ints, ...]:
-        """For each interface, its facets as rows of corners of ``surface`` (f_i, 3)."""
+        """For each interface, the corners of its facets, as rows of ``surface`` (f_i, 3)."""
         return self.surface.triangles
 
     @property
-    def held(self) -> Bools:
-        """Components of the jump prescribed by supports (n, 3)."""
+    def is_prescribed(self) -> Bools:
+        """Mask of the components of the jump that supports prescribe (n, 3)."""
         return self.prescribing_support[:, :, 0] >= 0
 
 
 @dataclass(frozen=True)
 class Entries:
-    """Displacement of bodies due to jumps, as triplets.
+    """Entries of the matrices B_b from jumps to the displacement of bodies, as triplets.
 
-    Body b moves by u + B_b q with q the jumps, three per contact point.
+    Body b moves by u + B_b q with the jumps q, three per contact point.
 
     Attributes:
-        body: Body (m,).
+        body: Body b (m,).
         row: Global unrolled dof (m,).
         column: 3 point + component (m,).
-        value: +1 or -1, halved at the edge nodes of second-order elements (m,).
+        value: Value (m,): +1 or -1 at vertices, halved at the middles of edges. Local axes, bent
+            edges and dependent corners give further values.
     """
 
     body: Ints

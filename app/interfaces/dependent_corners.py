@@ -1,11 +1,12 @@
-"""Corners where interfaces meet and whose jumps follow from the jumps of the points there.
+"""Dependent corners, whose jumps follow from the jumps of the points at the same vertex.
 
-A dependent corner gives its area and its jump to points of its interface next to it. The unknown of
-such a point is the mean jump, by area, of the point and its part of the corner.
+Interfaces meet at such a vertex. A dependent corner gives its area and its jump to points of its
+interface next to it. The unknown of such a point is the mean jump, by area, of the point and its
+part of the corner.
 
 A point on an edge of its interface has several faces, each with its area and its pressure. A facet
 of a dependent corner belongs to one of them. Along the normal of this face the mean is over the
-area of the face alone, and along the normals of the other faces the corner has no part. A constant
+area of the face alone. Along the normals of the other faces the corner has no part. A constant
 pressure on each face is then transmitted exactly.
 """
 
@@ -32,8 +33,8 @@ from app.interfaces.interface_facets import InterfaceFacets
 
 # A facet belongs to the face with the nearest normal, if the cosine between both is at least this.
 SAME_FACE = 0.5
-# Largest entry of the inverse of the matrix of mean jumps. One above 100 was not seen, except of
-# singular matrices, whose inverses have 1e14 by rounding.
+# Largest entry of the inverse of the matrix of mean jumps. Regular matrices had at most 100, and
+# matrices that are singular up to rounding had 1e14.
 LARGEST_INVERSE = 1e6
 
 
@@ -43,8 +44,8 @@ class HandedAreas:
 
     Attributes:
         corner: Corner that gives the area (k,).
-        point: Point that receives it (k,).
-        normal: Unit normal at the corner of the facet to which the area belongs (k, 3).
+        point: Point that receives the area (k,).
+        normal: Unit normal at the corner, of the facet to which the area belongs (k, 3).
         area: Area (k,) [mm2].
     """
 
@@ -57,86 +58,99 @@ class HandedAreas:
 def handed_areas(
     facets: InterfaceFacets,
     surface: ContactSurface,
-    held: Floats,
+    prescribed_projectors: Floats,
     names: Sequence[str],
     by_face: bool,
 ) -> HandedAreas:
     """Areas that dependent corners give to points of their interface.
 
-    These points are the other corners of its facets, otherwise the nearest points of the same
-    sides that have a face along the facet. A point with a prescribed component that the corner does
-    not have is the last choice.
+    The points that receive an area are the other corners of the facet. If all of these are
+    dependent, it is the nearest point of the same sides with a face along the facet. A point with a
+    prescribed component that the corner does not have is the last choice.
 
     Args:
         facets: All facets.
         surface: All corners, points first.
-        held: Projectors on the prescribed directions of the points (n, 3, 3).
+        prescribed_projectors: Projectors on the prescribed directions of the points (n, 3, 3).
         names: Names of the interfaces.
-        by_face: Whether each face of a point has a separate pressure.
+        by_face: True if each face of a point has a separate pressure.
 
     Raises:
         InputError: There is no such point.
     """
-    n = len(held)
+    point_count = len(prescribed_projectors)
     corners = np.concatenate(surface.triangles)
-    numbers = np.concatenate(surface.facets)
-    sides_of_corner = np.column_stack([surface.interface, surface.bodies])
-    is_free = ~held.any(axis=(1, 2))
-    at_vertex: dict[int, Floats] = {}
-    for p in np.flatnonzero(~is_free):
+    facet_rows = np.concatenate(surface.facets)
+    sides = np.column_stack([surface.interface, surface.bodies])
+    prescribed_at_vertex: dict[int, Floats] = {}
+    for p in np.flatnonzero(prescribed_projectors.any(axis=(1, 2))):
         v = int(surface.vertex[p])
-        at_vertex[v] = np.maximum(at_vertex.get(v, 0.0), np.abs(held[p]))
-    rows: list[tuple[int, int, int, int]] = []
+        prescribed_at_vertex[v] = np.maximum(
+            prescribed_at_vertex.get(v, 0.0), np.abs(prescribed_projectors[p])
+        )
+    handed_rows: list[tuple[int, int, int, int]] = []
     areas: list[float] = []
-    for f, k in zip(*np.nonzero(corners >= n), strict=True):
-        c, number = int(corners[f, k]), int(numbers[f])
-        held_at_corner = at_vertex.get(int(surface.vertex[c]), np.zeros((3, 3)))
+    for triangle, k in zip(*np.nonzero(corners >= point_count), strict=True):
+        corner = int(corners[triangle, k])
+        facet = int(facet_rows[triangle])
+        prescribed_at_corner = prescribed_at_vertex.get(
+            int(surface.vertex[corner]), np.zeros((3, 3))
+        )
 
-        def takes(p: Ints, held_at_corner: Floats = held_at_corner) -> Bools:
-            return np.asarray((np.abs(held[p]) <= held_at_corner + ROUNDING).all(axis=(1, 2)))
+        def is_admissible(p: Ints, prescribed_at_corner: Floats = prescribed_at_corner) -> Bools:
+            """Mask of points without prescribed components that the corner does not have."""
+            is_within = np.abs(prescribed_projectors[p]) <= prescribed_at_corner + ROUNDING
+            return np.asarray(is_within.all(axis=(1, 2)))
 
-        neighbours = corners[f][corners[f] < n]
-        receivers = neighbours[takes(neighbours)]
+        neighbours = corners[triangle][corners[triangle] < point_count]
+        receivers = neighbours[is_admissible(neighbours)]
         if not len(receivers):
-            candidates = np.flatnonzero((sides_of_corner[:n] == sides_of_corner[c]).all(axis=1))
-            normal = facets.normal[number, k]
-            if by_face and normal @ held_at_corner @ normal < SAME_FACE:
-                candidates = candidates[_faces_along(surface.normals[candidates], normal) >= 0]
-            admissible = candidates[takes(candidates)]
-            receivers_of_sides = admissible if len(admissible) else candidates
-            if not len(receivers_of_sides):
-                x, y, z = surface.x[c]
+            is_same_side = (sides[:point_count] == sides[corner]).all(axis=1)
+            candidates = np.flatnonzero(is_same_side)
+            normal = facets.normal[facet, k]
+            if by_face and normal @ prescribed_at_corner @ normal < SAME_FACE:
+                has_face = _faces_along(surface.normals[candidates], normal) >= 0
+                candidates = candidates[has_face]
+            admissible = candidates[is_admissible(candidates)]
+            if len(admissible):
+                candidates = admissible
+            if not len(candidates):
+                x, y, z = surface.x[corner]
                 raise InputError(
-                    f"interfaces.{names[int(surface.interface[c])]}: all nodes of a face lie on "
-                    f"lines where interfaces meet, e.g. at ({x:.4g}, {y:.4g}, {z:.4g}) mm, so none "
-                    "can carry its force; use a finer mesh"
+                    f"interfaces.{names[int(surface.interface[corner])]}: all nodes of a face lie "
+                    f"on lines where interfaces meet, e.g. at ({x:.4g}, {y:.4g}, {z:.4g}) mm, so "
+                    "none can carry its force; use a finer mesh"
                 )
-            distances = np.linalg.norm(surface.x[receivers_of_sides] - surface.x[c], axis=1)
-            receivers = receivers_of_sides[np.isclose(distances, distances.min(), rtol=1e-6)]
-        rows += [(c, int(p), number, int(k)) for p in receivers]
-        areas += [float(facets.area[number, k]) / len(receivers)] * len(receivers)
-    corner, point, facet, k = np.array(rows).T
-    return HandedAreas(corner, point, facets.normal[facet, k], np.array(areas))
+            distances = np.linalg.norm(surface.x[candidates] - surface.x[corner], axis=1)
+            receivers = candidates[np.isclose(distances, distances.min(), rtol=1e-6)]
+        handed_rows += [(corner, int(p), facet, int(k)) for p in receivers]
+        areas += [float(facets.area[facet, k]) / len(receivers)] * len(receivers)
+    corner_rows, point_rows, facet_of_area, corner_of_facet = np.array(handed_rows).T
+    normals = facets.normal[facet_of_area, corner_of_facet]
+    return HandedAreas(corner_rows, point_rows, normals, np.array(areas))
 
 
-def _faces_along(normals: Floats, normal: Floats) -> Ints:
-    """Number of the face of each point (n, 3, 3) that is along a normal (3,) or (n, 3), or -1."""
-    cosines = np.abs(np.einsum("pki,pi->pk", normals, np.broadcast_to(normal, normals[:, 0].shape)))
+def _faces_along(normals: Floats, direction: Floats) -> Ints:
+    """Index of the face of each point that is along a direction, or -1 (n,).
+
+    Args:
+        normals: Unit normals of the faces of points (n, 3, 3).
+        direction: Unit normal, one for all points (3,) or one for each (n, 3).
+    """
+    directions = np.broadcast_to(direction, normals[:, 0].shape)
+    cosines = np.abs(np.einsum("pki,pi->pk", normals, directions))
     return np.where(cosines.max(axis=1) >= SAME_FACE, cosines.argmax(axis=1), -1)
 
 
 def _face_areas(facets: InterfaceFacets, surface: ContactSurface, normals: Floats) -> Floats:
-    """Areas (m, 3) of the faces of corners, with these unit normals (m, 3, 3) [mm2]."""
+    """Areas of the faces of corners (m, 3), with these unit normals (m, 3, 3) [mm2]."""
     corners = np.concatenate(surface.triangles).ravel()
-    numbers = np.concatenate(surface.facets)
-    faces = _faces_along(normals[corners], facets.normal[numbers].reshape(-1, 3))
+    facet_rows = np.concatenate(surface.facets)
+    faces = _faces_along(normals[corners], facets.normal[facet_rows].reshape(-1, 3))
+    corner_area = facets.area[facet_rows].ravel()
+    has_face = faces >= 0
     area = np.zeros((len(surface.weight), 3))
-    belongs_to_face = faces >= 0
-    np.add.at(
-        area,
-        (corners[belongs_to_face], faces[belongs_to_face]),
-        facets.area[numbers].ravel()[belongs_to_face],
-    )
+    np.add.at(area, (corners[has_face], faces[has_face]), corner_area[has_face])
     return area
 
 
@@ -160,7 +174,7 @@ def in_means(
         entries: Displacement of the bodies due to d.
         handed: Areas that the points receive.
         names: Names of the interfaces.
-        by_face: Whether each face of a point has a separate pressure. A field with one component
+        by_face: True if each face of a point has a separate pressure. A field with one component
             has the same flux on all faces.
 
     Raises:
@@ -170,60 +184,69 @@ def in_means(
     normals = surface.normals if by_face else np.zeros_like(surface.normals)
     weight = points.weight + np.bincount(handed.point, handed.area, n)
     face = _faces_along(normals[handed.point], handed.normal)
-    own_face_area = _face_areas(facets, surface, normals)
-    face_area = own_face_area[:n].copy()
-    on_face = face >= 0
-    receivers = handed.point[on_face], face[on_face]
-    np.add.at(face_area, receivers, handed.area[on_face])
+    corner_face_area = _face_areas(facets, surface, normals)
+    face_area = corner_face_area[:n].copy()
+    is_on_face = face >= 0
+    receiving_faces = handed.point[is_on_face], face[is_on_face]
+    np.add.at(face_area, receiving_faces, handed.area[is_on_face])
 
-    # Share of a corner in the force of a point: the pressure of a face on the area that it gives
-    # to this face, and friction by area.
+    # Share of a corner in the force of a point: of the pressure of a face by the area that the
+    # corner gives to this face, of friction by the whole area.
     duals = dual_vectors(normals[:n])
     tangential = np.eye(3) - np.einsum("pki,pkj->pij", normals[:n], duals)
-    share = (handed.area / weight[handed.point])[:, None, None] * tangential[handed.point]
-    along = normals[receivers][:, :, None] * duals[receivers][:, None, :]
-    share[on_face] += (handed.area[on_face] / face_area[receivers])[:, None, None] * along
+    area_fraction = handed.area / weight[handed.point]
+    share = area_fraction[:, None, None] * tangential[handed.point]
+    along_normal = normals[receiving_faces][:, :, None] * duals[receiving_faces][:, None, :]
+    face_fraction = handed.area[is_on_face] / face_area[receiving_faces]
+    share[is_on_face] += face_fraction[:, None, None] * along_normal
     handed_share = np.zeros((n, 3, 3))
     np.add.at(handed_share, handed.point, share)
 
+    # Mean jumps: the jumps A d of dependent corners replace a share of the jumps d of the points.
     shape = len(surface.vertex) - n, n
     to_corners = _blocks(share, handed.corner - n, handed.point, shape)
     A = _three(_dependent_jumps(surface, n))
     identity = eye_array(3 * n, format="csr")
-    free_directions = _diagonal(np.eye(3) - projectors(points.axes, points.held))
-    mean_of_others = csr_array(to_corners.T @ A - _diagonal(handed_share.swapaxes(1, 2)))
-    G = csr_array(identity + free_directions @ mean_of_others)
+    free_directions = _diagonal(np.eye(3) - projectors(points.axes, points.is_prescribed))
+    change_by_corners = csr_array(to_corners.T @ A - _diagonal(handed_share.swapaxes(1, 2)))
+    G = csr_array(identity + free_directions @ change_by_corners)
     inverse = _inverse(G, surface, names)
-    parts = []
-    for b in np.unique(entries.body):
-        of_body = entries.body == b
-        node_rows, rows = np.unique(entries.row[of_body], return_inverse=True)
-        positions = rows.ravel(), entries.column[of_body]
-        B = csr_array((entries.value[of_body], positions), shape=(len(node_rows), 3 * n)) @ inverse
-        B = B.tocoo()
-        is_nonzero = np.abs(B.data) > ROUNDING
-        parts.append(
-            (
-                np.full(is_nonzero.sum(), b),
-                node_rows[B.row[is_nonzero]],
-                B.col[is_nonzero].astype(np.int64),
-                B.data[is_nonzero],
-            )
-        )
-    body, row, column, value = (np.concatenate(part) for part in zip(*parts, strict=True))
+
     # Forces of a point and of corners are per area of each.
     kept_force = (np.eye(3) - handed_share) * (weight / points.weight)[:, None, None]
     handed_forces = _diagonal(np.eye(3) / surface.weight[n:, None, None]) @ to_corners
     handed_forces = handed_forces @ _diagonal(np.eye(3) * weight[:, None, None])
-    by_area = (handed.area / surface.weight[handed.corner], (handed.corner - n, handed.point))
+    corner_fraction = handed.area / surface.weight[handed.corner]
+    handed_values = csr_array((corner_fraction, (handed.corner - n, handed.point)), shape=shape)
     dependence = Dependence(
-        values=csr_array(vstack([eye_array(n), csr_array(by_area, shape=shape)])),
+        values=csr_array(vstack([eye_array(n), handed_values])),
         forces=csr_array(vstack([_diagonal(kept_force), handed_forces])),
-        pressures=_pressures(surface, normals, handed, face, own_face_area, face_area, weight),
+        pressures=_pressures(surface, normals, handed, face, corner_face_area, face_area, weight),
         jumps=csr_array(vstack([identity, A]) @ inverse),
     )
     surface = replace(surface, dependence=dependence)
-    return replace(points, weight=weight, surface=surface), Entries(body, row, column, value)
+    points = replace(points, weight=weight, surface=surface)
+    return points, _transformed(entries, inverse)
+
+
+def _transformed(entries: Entries, inverse: csr_array) -> Entries:
+    """Entries of the products B_b G^-1, from the entries of B_b and the inverse (3 n, 3 n)."""
+    bodies: list[Ints] = []
+    rows: list[Ints] = []
+    columns: list[Ints] = []
+    values: list[Floats] = []
+    for body in np.unique(entries.body):
+        is_of_body = entries.body == body
+        dofs, row = np.unique(entries.row[is_of_body], return_inverse=True)
+        triplets = entries.value[is_of_body], (row.ravel(), entries.column[is_of_body])
+        B = csr_array(triplets, shape=(len(dofs), inverse.shape[0]))
+        product = (B @ inverse).tocoo()
+        is_nonzero = np.abs(product.data) > ROUNDING
+        bodies.append(np.full(is_nonzero.sum(), body))
+        rows.append(dofs[product.row[is_nonzero]])
+        columns.append(product.col[is_nonzero].astype(np.int64))
+        values.append(product.data[is_nonzero])
+    return Entries(*map(np.concatenate, (bodies, rows, columns, values)))
 
 
 def _inverse(G: csr_array, surface: ContactSurface, names: Sequence[str]) -> csr_array:
@@ -232,16 +255,17 @@ def _inverse(G: csr_array, surface: ContactSurface, names: Sequence[str]) -> csr
     Raises:
         InputError: The matrix is singular.
     """
-    affected = np.flatnonzero(np.diff(G.indptr) != 1)
-    changed = np.unique(np.concatenate([affected, G[affected].indices]))
+    # Only the part without unit rows is inverted, with the rows on which it depends.
+    other_rows = np.flatnonzero(np.diff(G.indptr) != 1)
+    changed = np.unique(np.concatenate([other_rows, G[other_rows].indices]))
     part = csc_array(G[changed][:, changed])
     try:
-        local = csr_array(inv(part)).tocoo()
+        inverse_part = csr_array(inv(part)).tocoo()
     except RuntimeError:  # exactly singular
-        local = None
-    if local is None or not np.abs(local.data).max(initial=0.0) < LARGEST_INVERSE:
-        direction = np.linalg.svd(part.toarray())[2][-1]
-        p = int(changed[np.abs(direction).argmax()] // 3)
+        inverse_part = None
+    if inverse_part is None or not np.abs(inverse_part.data).max(initial=0.0) < LARGEST_INVERSE:
+        singular_direction = np.linalg.svd(part.toarray())[2][-1]
+        p = int(changed[np.abs(singular_direction).argmax()] // 3)
         x, y, z = surface.x[p]
         raise InputError(
             f"interfaces.{names[int(surface.interface[p])]}: too few of its nodes near "
@@ -249,11 +273,11 @@ def _inverse(G: csr_array, surface: ContactSurface, names: Sequence[str]) -> csr
             "pressure there is not determined; use a finer mesh"
         )
     unchanged = np.setdiff1d(np.arange(G.shape[0]), changed)
-    row = np.concatenate([unchanged, changed[local.row]])
-    column = np.concatenate([unchanged, changed[local.col]])
-    value = np.concatenate([np.ones(len(unchanged)), local.data])
-    keep = np.abs(value) > ROUNDING
-    return csr_array((value[keep], (row[keep], column[keep])), shape=G.shape)
+    row = np.concatenate([unchanged, changed[inverse_part.row]])
+    column = np.concatenate([unchanged, changed[inverse_part.col]])
+    value = np.concatenate([np.ones(len(unchanged)), inverse_part.data])
+    is_nonzero = np.abs(value) > ROUNDING
+    return csr_array((value[is_nonzero], (row[is_nonzero], column[is_nonzero])), shape=G.shape)
 
 
 def _pressures(
@@ -261,7 +285,7 @@ def _pressures(
     normals: Floats,
     handed: HandedAreas,
     face: Ints,
-    own_face_area: Floats,
+    corner_face_area: Floats,
     face_area: Floats,
     weight: Floats,
 ) -> csr_array:
@@ -272,32 +296,33 @@ def _pressures(
         normals: Unit normals of their faces (m, 3, 3).
         handed: Areas that the points receive.
         face: Face of the point that receives each area, or -1 (k,).
-        own_face_area: Areas of the faces of corners (m, 3) [mm2].
-        face_area: Areas of the faces of points with what they receive (n, 3) [mm2].
-        weight: Areas of the points with what they receive (n,) [mm2].
+        corner_face_area: Areas of the faces of corners (m, 3) [mm2].
+        face_area: Areas of the faces of points, with the received areas (n, 3) [mm2].
+        weight: Areas of the points, with the received areas (n,) [mm2].
     """
     m, n = len(surface.weight), len(weight)
-    # Pressure on the area of a face from that on the area of the point.
-    to_face = np.divide(weight[:, None], face_area, where=face_area > 0, out=np.zeros((n, 3)))
-    kept_pressure = to_face * own_face_area[:n] / surface.weight[:n, None]
+    # Factors from the pressure on the area of the point to the pressure on the area of its face.
+    face_factor = np.divide(weight[:, None], face_area, where=face_area > 0, out=np.zeros((n, 3)))
+    kept_factors = face_factor * corner_face_area[:n] / surface.weight[:n, None]
     face_of_corner = _faces_along(normals[handed.corner], handed.normal)
     used = np.flatnonzero((face >= 0) & (face_of_corner >= 0))
     corner, point = handed.corner[used], handed.point[used]
-    value = handed.area[used] / surface.weight[corner] * to_face[point, face[used]]
+    corner_fraction = handed.area[used] / surface.weight[corner]
+    handed_factors = corner_fraction * face_factor[point, face[used]]
     rows = np.concatenate([np.arange(3 * n), 3 * corner + face_of_corner[used]])
     columns = np.concatenate([np.arange(3 * n), 3 * point + face[used]])
-    values = np.concatenate([kept_pressure.ravel(), value])
+    values = np.concatenate([kept_factors.ravel(), handed_factors])
     return csr_array((values, (rows, columns)), shape=(3 * m, 3 * n))
 
 
 def _diagonal(blocks: Floats) -> csr_array:
-    """Return the matrix (3 n, 3 n) of blocks on the diagonal (n, 3, 3)."""
+    """Return the block-diagonal matrix (3 n, 3 n) of blocks (n, 3, 3)."""
     n = len(blocks)
     return csr_array(bsr_array((blocks, np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n)))
 
 
 def _blocks(blocks: Floats, row: Ints, column: Ints, shape: tuple[int, int]) -> csr_array:
-    """Return the matrix of the sums of blocks (k, 3, 3) at rows and columns of blocks."""
+    """Return the matrix of blocks (k, 3, 3) at block rows and columns (k,); equal places add up."""
     i, j = np.meshgrid(np.arange(3), np.arange(3), indexing="ij")
     rows, columns = 3 * row[:, None, None] + i, 3 * column[:, None, None] + j
     size = 3 * shape[0], 3 * shape[1]
@@ -305,7 +330,7 @@ def _blocks(blocks: Floats, row: Ints, column: Ints, shape: tuple[int, int]) -> 
 
 
 def _three(scalar: csr_array) -> csr_array:
-    """Return factors (m, n) for each of three components (3 m, 3 n)."""
+    """Return the matrix (3 m, 3 n) that applies factors (m, n) to each of three components."""
     return csr_array(kron(scalar, eye_array(3), format="csr"))
 
 
@@ -314,18 +339,20 @@ def _dependent_jumps(surface: ContactSurface, n: int) -> csr_array:
     rows: list[int] = []
     columns: list[int] = []
     values: list[float] = []
-    for c in range(n, len(surface.vertex)):
-        points_at_vertex = np.flatnonzero(surface.vertex[:n] == surface.vertex[c])
-        master, slave = map(int, surface.bodies[c])
-        path: dict[int, dict[int, float]] = {master: {}}
+    for corner in range(n, len(surface.vertex)):
+        points_at_vertex = np.flatnonzero(surface.vertex[:n] == surface.vertex[corner])
+        master, slave = map(int, surface.bodies[corner])
+        # Signs of the jumps that sum to the motion of a body relative to the master, by body.
+        signs: dict[int, dict[int, float]] = {master: {}}
+        # A path has at most as many points as the vertex: as many passes reach every body.
         for _ in points_at_vertex:
             for p in map(int, points_at_vertex):
-                a, b = map(int, surface.bodies[p])
-                if a in path and b not in path:
-                    path[b] = path[a] | {p: 1.0}
-                elif b in path and a not in path:
-                    path[a] = path[b] | {p: -1.0}
-        rows += [c - n] * len(path[slave])
-        columns += path[slave].keys()
-        values += path[slave].values()
+                point_master, point_slave = map(int, surface.bodies[p])
+                if point_master in signs and point_slave not in signs:
+                    signs[point_slave] = signs[point_master] | {p: 1.0}
+                elif point_slave in signs and point_master not in signs:
+                    signs[point_master] = signs[point_slave] | {p: -1.0}
+        rows += [corner - n] * len(signs[slave])
+        columns += signs[slave].keys()
+        values += signs[slave].values()
     return csr_array((values, (rows, columns)), shape=(len(surface.vertex) - n, n))

@@ -10,7 +10,7 @@ near node along two tangents and h that along the mean normal, relative to the n
 describes any quadric, so normals of planes, spheres, cylinders and cones are exact to rounding.
 There are three models: the mean normal, the paraboloid with the first five terms, and the quadric.
 The model whose slopes :math:`(c_1, c_2)` have the smallest standard error is used, so that a rough
-surface keeps its mean normals. This error is the doubt about the normal.
+surface keeps its mean normals. This standard error is that of the normal.
 
 If the facets around a node lie in one plane, their normal is kept. A fit is rejected if it rotates
 the normal by more than the normals nearby differ.
@@ -42,7 +42,7 @@ SPARE_NODES = 2
 ERROR_RATIO = 0.25
 # Normals that differ by less are equal [rad].
 FLAT_ANGLE = 1e-6
-# A slope is a likely error up to this multiple of the doubt about normals.
+# A slope is a likely error up to this multiple of the standard error of normals.
 LIKELY_MULTIPLE = 3.0
 # A larger slope is no error [rad].
 LARGEST_SLOPE = 0.01
@@ -60,11 +60,11 @@ class SmoothNormals:
 
     Attributes:
         normal: Unit normals (n, 3).
-        doubt: Standard error of their direction (n,) [rad].
+        error: Standard error of their direction (n,) [rad].
     """
 
     normal: Floats
-    doubt: Floats
+    error: Floats
 
 
 def smooth_normals(x: Floats, corners: Ints, normals: Floats, areas: Floats) -> SmoothNormals:
@@ -87,13 +87,13 @@ def smooth_normals(x: Floats, corners: Ints, normals: Floats, areas: Floats) -> 
     np.maximum.at(spread_nearby, node, _angle(mean[node], mean[neighbour]) + spread[neighbour])
     inside = np.diff(joined_nodes.indptr) - 1 == np.bincount(corners.ravel(), minlength=len(x))
     is_flat = (spread < FLAT_ANGLE) & (inside | (spread_nearby < FLAT_ANGLE))
-    fitted, doubt = mean.copy(), np.where(is_flat, 0.0, spread)
+    fitted, error = mean.copy(), np.where(is_flat, 0.0, spread)
     rows = np.flatnonzero(~is_flat)
     if len(rows):
-        fitted[rows], doubt[rows] = _fitted(
-            x, mean, spread_nearby, doubt, rows, _nodes_near(joined_nodes, rows)
+        fitted[rows], error[rows] = _fitted(
+            x, mean, spread_nearby, error, rows, _nodes_near(joined_nodes, rows)
         )
-    return SmoothNormals(fitted, doubt)
+    return SmoothNormals(fitted, error)
 
 
 def unit_sums(vectors: Floats, weights: Floats, corners: Ints, n: int) -> Floats:
@@ -137,7 +137,7 @@ def _nodes_near(joined: csr_matrix, rows: Ints) -> Ints:
 
 
 def _fitted(
-    x: Floats, mean: Floats, spread_nearby: Floats, doubt: Floats, rows: Ints, near_nodes: Ints
+    x: Floats, mean: Floats, spread_nearby: Floats, mean_error: Floats, rows: Ints, near_nodes: Ints
 ) -> tuple[Floats, Floats]:
     """Return the normals (m, 3) of some nodes by the best model, and their standard errors (m,)."""
     n, tangents = mean[rows], np.linalg.svd(mean[rows, None])[2][:, 1:]
@@ -168,27 +168,28 @@ def _fitted(
         is_better = (spare_nodes >= SPARE_NODES) & (slope_error < ERROR_RATIO * error)
         is_better &= _angle(fitted_normal, n) <= spread_nearby[rows]
         normal[is_better], error[is_better] = fitted_normal[is_better], slope_error[is_better]
-    return normal, np.where(np.isfinite(error), error, doubt[rows])
+    return normal, np.where(np.isfinite(error), error, mean_error[rows])
 
 
-def slid_along(x: Floats, normals: Floats, doubt: Floats, weight: Floats) -> Floats:
+def slid_along(x: Floats, normals: Floats, error: Floats, weight: Floats) -> Floats:
     """Make normals orthogonal to the rigid motions that slide a surface along itself.
 
     Normals that are slightly off resist the rotation of a body of revolution: the smaller their
     error, the more ill-conditioned the system. A motion slides the surface along itself if the
-    slopes of the normals against it, in the mean and at random, are within the doubt about them.
+    slopes of the normals against it, in the mean and at random, are within the error of the
+    normals.
 
     Args:
         x: Points (n, 3) [mm].
-        normals: Unit normals there (n, 3).
-        doubt: Standard errors of the normals (n,) [rad].
+        normals: Unit normals at the points (n, 3).
+        error: Standard errors of the normals (n,) [rad].
         weight: Areas of the points (n,) [mm2].
 
     Returns:
         Unit normals (n, 3). They are unchanged if no motion slides.
     """
     weight_fraction, count = weight / weight.sum(), len(x)
-    likely = min(LIKELY_MULTIPLE * float(np.sqrt(weight_fraction @ doubt**2)), LARGEST_SLOPE)
+    likely = min(LIKELY_MULTIPLE * float(np.sqrt(weight_fraction @ error**2)), LARGEST_SLOPE)
     if likely < ROUNDING or count < NODES_NEAR:
         return normals
     offsets = (x - weight_fraction @ x) / (float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0)

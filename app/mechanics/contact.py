@@ -156,7 +156,7 @@ class TrialState:
         weight = contact.local.weight
         step, opening = self.jump - contact.reference, contact.opening(self.jump)
         # Equilibrium along a prescribed jump contains the support reaction: take the law's force.
-        force = contact.forces(self.equilibrium) + contact.local.tangential_held(law.force)
+        force = contact.forces(self.equilibrium) + contact.local.prescribed_tangential(law.force)
         normal = np.einsum("pk,pki->pi", law.pressures, contact.local.normals)
         friction = force + normal
         outputs, slip = law.outputs, self.slip(friction)

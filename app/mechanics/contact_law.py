@@ -379,7 +379,7 @@ class PointLaw:
         Returns:
             Outputs of the law, with total derivatives.
         """
-        H = self._points.held_tangents[rows]
+        H = self._points.prescribed_tangents[rows]
         if not H.any():
             return kernel.named(**inputs)
         M = self.multiplier_share[rows]
@@ -434,7 +434,7 @@ class PointLaw:
         debonded_share = point_forces.outputs["debonded_share"][rows]
         in_contact = (debonded_share > 0) & ~self.opened[rows]
         traction, traction_by_jump = point_forces.force[rows], point_forces.by_jump[rows]
-        free_projector = np.eye(3) - points.held_tangents[rows]
+        free_projector = np.eye(3) - points.prescribed_tangents[rows]
         inputs["force"] = inputs["force"] - np.einsum("pij,pj->pi", free_projector, traction)
         if law.friction > 0:
             inputs["μ"] = self._constants["μ"][rows] * debonded_share

@@ -32,7 +32,8 @@ class LocalPoints:
         normals: Unit normals of the faces, zero beyond ``faces`` (n, 3, 3).
         weight: Area (n,) [mm2].
         projector: Projectors on the part of the jump that supports prescribe (n, 3, 3).
-        held_tangents: Projectors on the prescribed part that is tangential to all faces (n, 3, 3).
+        prescribed_tangents: Projectors on the prescribed part that is tangential to all faces
+            (n, 3, 3).
     """
 
     rows: Ints
@@ -43,7 +44,7 @@ class LocalPoints:
     normals: Floats
     weight: Floats
     projector: Floats
-    held_tangents: Floats
+    prescribed_tangents: Floats
 
     @classmethod
     def of(cls, points: ContactPoints, rows: Ints) -> LocalPoints:
@@ -55,10 +56,12 @@ class LocalPoints:
             "faces",
             "normals",
             "weight",
-            "held_tangents",
+            "prescribed_tangents",
         )
         attributes = {name: getattr(points, name)[rows] for name in attribute_names}
-        return cls(rows=rows, projector=projectors(points.axes, points.held)[rows], **attributes)
+        return cls(
+            rows=rows, projector=projectors(points.axes, points.is_prescribed)[rows], **attributes
+        )
 
     def __len__(self) -> int:
         """Number of points."""
@@ -68,13 +71,13 @@ class LocalPoints:
         """Remove prescribed components from vectors (n, 3)."""
         return vectors - np.einsum("pij,pj->pi", self.projector, vectors)
 
-    def tangential_held(self, vectors: Floats) -> Floats:
+    def prescribed_tangential(self, vectors: Floats) -> Floats:
         """Return the prescribed tangential components of vectors (n, 3): friction acts there."""
-        return np.asarray(np.einsum("pij,pj->pi", self.held_tangents, vectors))
+        return np.asarray(np.einsum("pij,pj->pi", self.prescribed_tangents, vectors))
 
     def acting(self, vectors: Floats) -> Floats:
         """Remove prescribed components in which the law does not act from vectors (n, 3)."""
-        return self.project_free(vectors) + self.tangential_held(vectors)
+        return self.project_free(vectors) + self.prescribed_tangential(vectors)
 
     def tangential(self, vectors: Floats, faces: Bools) -> Floats:
         """Part of vectors (n, 3) tangential to some of the faces (n, 3)."""

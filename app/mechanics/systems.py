@@ -165,8 +165,8 @@ class ContactSystem(BondedSystem):
         points bear it.
         """
         contact, problem = self.contact, self._problem
-        normal_doubt = contact.points.doubt[contact.local.rows]
-        if not contact.points.doubt.any():
+        normal_error = contact.points.normal_error[contact.local.rows]
+        if not contact.points.normal_error.any():
             return r.ravel()
         motions = contact.free_motions(law.status)
         if not motions.shape[1]:
@@ -175,15 +175,15 @@ class ContactSystem(BondedSystem):
         # Products of the motions, the same weighted by the squared uncertainty, squared forces.
         local_sums = (
             np.einsum("p,pik,pil->kl", w, jumps, jumps),
-            np.einsum("p,pik,pik,p->", w, jumps, jumps, normal_doubt**2),
+            np.einsum("p,pik,pik,p->", w, jumps, jumps, normal_error**2),
             np.einsum("pi,pi->", e, e),
         )
-        products, weighted_doubt, forces = (self.comm.allreduce(v) for v in local_sums)
+        products, weighted_error, forces = (self.comm.allreduce(v) for v in local_sums)
         work = self._work(motions, problem.f_q.reshape(-1, 3))
         # Forces at the points that do the work of the loads in these motions.
         borne_forces = w[:, None] * (jumps @ np.linalg.lstsq(products, work, rcond=None)[0])
         squared = self.comm.allreduce(np.einsum("pi,pi->", borne_forces, borne_forces))
-        largest_squared = UNCERTAINTY_FACTOR**2 * weighted_doubt / np.trace(products) * forces
+        largest_squared = UNCERTAINTY_FACTOR**2 * weighted_error / np.trace(products) * forces
         return (r + borne_forces if squared <= largest_squared else r).ravel()
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:

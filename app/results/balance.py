@@ -206,7 +206,7 @@ class Balance:
         if trial is not None:
             jump, equilibrium = trial.jump.ravel().copy(), trial.equilibrium
             local, force = trial.contact.local, trial.contact.state.force
-            tangential_forces = local.weight[:, None] * local.tangential_held(force)
+            tangential_forces = local.weight[:, None] * local.prescribed_tangential(force)
             held_q = (equilibrium - local.project_free(equilibrium) + tangential_forces).ravel()
             contact_residual = inner.jump - acting.jump - equilibrium.ravel()
         outer, displacement = acting.nodal + reaction, constraints.expand(u).array.copy()

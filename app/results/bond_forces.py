@@ -176,7 +176,7 @@ class BondForces:
         force = np.zeros((len(points.x), 3))
         np.add.at(force.ravel(), entries.column, -entries.value * forces)
         force /= points.weight[:, None]
-        force -= np.einsum("pij,pj->pi", projectors(points.axes, points.held), force)
+        force -= np.einsum("pij,pj->pi", projectors(points.axes, points.is_prescribed), force)
         at_corners, normals = points.surface.spread_forces(force), points.surface.normals
         pressures = -np.einsum("cik,ci->ck", np.linalg.pinv(normals), at_corners)
         shear = at_corners + np.einsum("ck,cki->ci", pressures, normals)

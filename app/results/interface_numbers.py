@@ -202,7 +202,7 @@ class ContactSamples:
             self.sizes["inducible"] = np.linalg.norm(step_motion, axis=1)
         self._contact, self._jump, self.contacts = contact, trial.jump, contacts
         # If a normal is wrong by an angle, slip times this angle is an overlap with pressure.
-        pressed = np.linalg.norm(state.slip, axis=1) * points.doubt[local.rows]
+        pressed = np.linalg.norm(state.slip, axis=1) * points.normal_error[local.rows]
         self.by_facets = contact.gather(contact.law.local_stiffness * pressed)
         self.facet_sizes = contact.edge_lengths
         self.surfaces = parts or [Surface(surface, i, {}) for i in range(len(contacts))]

@@ -149,9 +149,8 @@ def _pulls(problem: Problem, motion: Floats, pressures: Floats) -> list[str]:
     local = contact.local
     jump = contact.relative_motion(motion[:, None])[:, :, 0]
     closing = np.maximum(0.0, -np.einsum("pki,pi->pk", local.normals, jump))
-    friction = (
-        _frictions(problem)[local.interface] + LIKELY_MULTIPLE * contact.points.doubt[local.rows]
-    )
+    facet_friction = LIKELY_MULTIPLE * contact.points.normal_error[local.rows]
+    friction = _frictions(problem)[local.interface] + facet_friction
     sliding_resistance = friction * np.linalg.norm(jump, axis=1)
     resisted = problem.comm.allreduce(
         float((pressures * (closing + sliding_resistance[:, None])).sum())

@@ -167,7 +167,7 @@ def check_jumps(points: ContactPoints, entries: Entries, bodies: int) -> None:
         master, slave = points.bodies[p]
         jump = np.zeros((3, 3 * n))
         jump[:, 3 * p : 3 * p + 3] = np.eye(3)
-        free = ~points.held[p]
+        free = ~points.is_prescribed[p]
         np.testing.assert_allclose((B[slave] - B[master])[free], jump[free], atol=1e-14)
 
 
@@ -184,13 +184,13 @@ def check_mean_jumps(points: ContactPoints, entries: Entries, bodies: int) -> No
     for c in range(len(surface.x)):
         B = moves(entries, int(surface.dof[c]), bodies, n).reshape(bodies, 3, 3 * n)
         master, slave = surface.bodies[c]
-        free = ~points.held[points.vertex == surface.vertex[c]].any(axis=0)
+        free = ~points.is_prescribed[points.vertex == surface.vertex[c]].any(axis=0)
         jump = true[3 * c : 3 * c + 3]
         np.testing.assert_allclose((B[slave] - B[master])[free], jump[free], atol=1e-12)
     if of is not None:  # forces on points do the same work on all corners
         areas = np.repeat(surface.weight, 3), np.repeat(points.weight, 3)
         work = (of.forces.toarray().T * areas[0]) @ true / areas[1][:, None]
-        free = ~points.held.ravel()
+        free = ~points.is_prescribed.ravel()
         np.testing.assert_allclose(work[free], np.eye(3 * n)[free], atol=1e-12)
 
 
@@ -266,7 +266,7 @@ def test_contact_points_held_slave_is_the_base() -> None:
     """Where only the slave is held it is the field u itself, and the master moves by minus q."""
     facets, x = flat()
     points, entries = contact_points(facets, hold(x[:, 0] < 1e-9, [1], 0), ["a"], {})
-    assert not points.held.any()
+    assert not points.is_prescribed.any()
     assert (points.faces == 1).all()
     for p in range(len(points.x)):
         B = moves(entries, int(points.dof[p]), 2, len(points.x))[:, 3 * p : 3 * p + 3]
@@ -281,7 +281,7 @@ def test_contact_points_jump_is_prescribed_where_both_sides_are_held() -> None:
     facets, x = flat(0.2)
     points, _ = contact_points(facets, hold(x[:, 1] < 1e-9, [0, 1], 1), ["a"], {})
     held = points.x[:, 1] < 1e-9
-    np.testing.assert_array_equal(points.held, np.outer(held, [False, True, False]))
+    np.testing.assert_array_equal(points.is_prescribed, np.outer(held, [False, True, False]))
     assert (points.prescribing_support[held, 1] == 0).all()
     exact = np.where(held[:, None], [0, 0, 1], np.array([0, -0.2, 1]) / np.hypot(0.2, 1))
     np.testing.assert_allclose(points.normals[:, 0], exact, atol=1e-12)
@@ -303,14 +303,14 @@ def test_contact_points_of_a_chain_between_held_bodies() -> None:
     apart = InterfaceFacets(*(v[chain] for v in vars(facets).values()))
     points, entries = contact_points(apart, holds, ["a", "b"], {})
     line = np.hypot(points.x[:, 0], points.x[:, 1]) < 1e-9
-    np.testing.assert_array_equal(points.held, np.outer(line, [False, False, True]))
+    np.testing.assert_array_equal(points.is_prescribed, np.outer(line, [False, False, True]))
     check_mean_jumps(points, entries, 3)
     for names in (["a", "b", "c"], ["c", "b", "a"]):
         points, entries = contact_points(facets, holds, names, {})
         line = np.hypot(points.x[:, 0], points.x[:, 1]) < 1e-9
         given = line & (points.interface == 2)
         assert given.sum() == 3
-        np.testing.assert_array_equal(points.held, np.outer(given, [False, False, True]))
+        np.testing.assert_array_equal(points.is_prescribed, np.outer(given, [False, False, True]))
         check_mean_jumps(points, entries, 3)
 
 
@@ -350,7 +350,7 @@ def test_smooth_normals_of_cylinders_and_cones_are_exact(size: float, taper: flo
     text = CYLINDERS.format(size=size, taper=taper, sector="quarter")
     points = support.assemble(support.case(text, "mesh.order=1"))[0].contact.points
     slope = np.tan(np.deg2rad(taper))
-    assert (points.faces == 1).all() and points.doubt.max() < 1e-9
+    assert (points.faces == 1).all() and points.normal_error.max() < 1e-9
     radial = points.x[:, :2] / np.linalg.norm(points.x[:, :2], axis=1, keepdims=True)
     n = np.column_stack([radial, np.full(len(radial), -slope)]) / np.hypot(1, slope)
     # Stem to cement is outwards, bone to cement inwards.
@@ -395,7 +395,7 @@ def test_smooth_normals_error_is_estimated() -> None:
     """None on cylinders of straight facets; curved facets differ a little; noise is estimated."""
     text = CYLINDERS.format(size=3.0, taper=3, sector="quarter")
     curved = support.assemble(support.case(text, "mesh.order=2", "mesh.curved=true"))[0].contact
-    assert 0 < curved.points.doubt.max() < 4e-3
+    assert 0 < curved.points.normal_error.max() < 4e-3
     rng, noise = np.random.default_rng(3), 1e-3
     case = support.case(text, "mesh.order=1", "mesh.size=1.5 mm")
     data = meshes.build(case.geometry, case.mesh, None)
@@ -406,7 +406,7 @@ def test_smooth_normals_error_is_estimated() -> None:
     radial = x[:, :2] / np.linalg.norm(x[:, :2], axis=1, keepdims=True)
     n = np.column_stack([radial, np.full(len(radial), -slope)]) / np.hypot(1, slope)
     off = np.linalg.norm(points.normals[outer, 0] - n, axis=1)
-    assert 0.3 < np.sqrt(np.mean(off**2) / np.mean(points.doubt[outer] ** 2)) < 3
+    assert 0.3 < np.sqrt(np.mean(off**2) / np.mean(points.normal_error[outer] ** 2)) < 3
     assert 1e-5 < np.mean(off) < 1e-2
 
 
@@ -437,7 +437,7 @@ def test_smooth_normals_of_spheres_and_ellipsoids_are_exact(
     facets, exact = quadric(np.array(half, dtype=float), tilt)
     points, _ = contact_points(facets, NOTHING_HELD, ["a"], {})
     assert np.abs(points.normals[:, 0] - exact[points.vertex]).max() < 1e-9
-    assert points.doubt.max() < 1e-9
+    assert points.normal_error.max() < 1e-9
 
 
 @pytest.mark.parametrize("degrees", [35, 50, 90])
@@ -453,7 +453,7 @@ def test_smooth_normals_keep_creases(degrees: float) -> None:
     for normal in ([0, 0, 1], [-s, 0, c]):
         nearest = np.abs(points.normals[edge] @ normal).max(axis=1)
         np.testing.assert_allclose(nearest, 1.0, atol=1e-12)
-    assert points.doubt.max() < 1e-12
+    assert points.normal_error.max() < 1e-12
 
 
 def test_smooth_normals_with_noise_allow_rotation_about_the_axis() -> None:

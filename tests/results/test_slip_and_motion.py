@@ -205,17 +205,21 @@ def test_stresses_uniform_at_every_node(order: int, tmp_path: Path) -> None:
     np.testing.assert_allclose(stress, np.tile([0, 0, -1, 0, 0, 0], (len(stress), 1)), atol=1e-9)
 
 
-@pytest.mark.parametrize(("doubt", "decides"), [(0.0, False), (0.1, True)])
-def test_interface_pressure_by_facets(doubt: float, decides: bool) -> None:
+@pytest.mark.parametrize(("normal_error", "decides"), [(0.0, False), (0.1, True)])
+def test_interface_pressure_by_facets(normal_error: float, decides: bool) -> None:
     """A normal that is off by an angle a presses the surface by k s sin a at a slip s."""
     solved = support.solve(support.STEM)
     contact = solved.problem.contact
     assert contact is not None
-    contact.points = replace(contact.points, doubt=np.full(len(contact.points.x), doubt))
+    contact.points = replace(
+        contact.points, normal_error=np.full(len(contact.points.x), normal_error)
+    )
     trial = solved.problem.trial(*solved.solver.u_and_q())
     numbers = ContactSamples(solved.problem, trial).numbers["stem_cement"]
     assert ("pressure_by_facets" in numbers) == decides
     if decides:
         here = contact.local.interface == 0
-        pressed = contact.law.local_stiffness * np.linalg.norm(contact.state.slip, axis=1) * doubt
+        pressed = (
+            contact.law.local_stiffness * np.linalg.norm(contact.state.slip, axis=1) * normal_error
+        )
         assert numbers["pressure_by_facets"] == pytest.approx(pressed[here].max(), rel=1e-6)

@@ -56,7 +56,7 @@ def test_coupled_system_taylor_remainder_is_of_second_order(
         operators.fixed.base_condition >= 0,
         *([operators.jumps.prescribed] if operators.jumps else []),
         problem.stiffness.constraints.constrained,
-        j.points.held[j.local.rows].ravel(),
+        j.points.is_prescribed[j.local.rows].ravel(),
     ]
     free = dict(zip(solver.blocks_by_name(), map(np.logical_not, held), strict=True))
     rng = np.random.default_rng(1)

@@ -117,7 +117,7 @@ def test_second_law_friction_dissipates_in_every_step(
         return
     # Friction times slip, from forces and jumps alone: the points have one face each.
     j = solved.problem.contact
-    assert (j.points.faces[~j.points.held.any(axis=1)] == 1).all()
+    assert (j.points.faces[~j.points.is_prescribed.any(axis=1)] == 1).all()
     normals = j.points.normals[:, 0]
 
     def tangential(v: Floats) -> Floats:
