@@ -246,7 +246,12 @@ def _transformed(entries: Entries, inverse: csr_array) -> Entries:
         rows.append(dofs[product.row[is_nonzero]])
         columns.append(product.col[is_nonzero].astype(np.int64))
         values.append(product.data[is_nonzero])
-    return Entries(*map(np.concatenate, (bodies, rows, columns, values)))
+    return Entries(
+        body=np.concatenate(bodies),
+        row=np.concatenate(rows),
+        column=np.concatenate(columns),
+        value=np.concatenate(values),
+    )
 
 
 def _inverse(G: csr_array, surface: ContactSurface, names: Sequence[str]) -> csr_array:

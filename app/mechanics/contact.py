@@ -49,7 +49,7 @@ from app.mechanics.stiffness import Stiffness, support_resistance
 from app.numerics.rigid_motions import motions_outside, relative_resistance, rigid_modes
 from app.numerics.sparse import owners
 from app.scene.bodies import contact_facets
-from app.scene.frames import held_at
+from app.scene.frames import vertex_constraints
 from app.scene.scene import Scene
 from forms.contact import OPEN, SLIP
 
@@ -235,7 +235,9 @@ class ContactInterfaces:
         self.comm = body_forms.mesh.comm
         space, interfaces = body_forms.space, len(scene.contacts)
         self.facets = contact_facets(tagged, bodies, space, scene.contacts, scene.moduli)
-        holds, axes = held_at(stiffness.frames, tagged, bodies, space, scene.supports, self.facets)
+        holds, axes = vertex_constraints(
+            stiffness.frames, tagged, bodies, space, scene.supports, self.facets
+        )
         if scene.rigid:
             constraints_of_stages = stiffness.constraints_of_stages()
             holds = with_rigid_regions(body_forms, constraints_of_stages, self.facets, holds, axes)

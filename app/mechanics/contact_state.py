@@ -191,18 +191,18 @@ def with_rigid_regions(
         region_nodes = np.flatnonzero(
             touched_nodes(space, tags == body_forms.tagged.regions[region])
         )
-        held_vertices = np.flatnonzero(np.isin(dof, region_nodes + first_owned))
-        of_node = np.array([axes.get(int(v), np.eye(3)) for v in vertex[held_vertices]]).reshape(
+        rigid_vertices = np.flatnonzero(np.isin(dof, region_nodes + first_owned))
+        of_node = np.array([axes.get(int(v), np.eye(3)) for v in vertex[rigid_vertices]]).reshape(
             -1, 3, 3
         )
-        is_prescribed = np.ones((len(held_vertices), 3), dtype=bool)
+        is_prescribed = np.ones((len(rigid_vertices), 3), dtype=bool)
         for stage_constraints in constraints:
             is_prescribed &= stage_constraints.prescribed_components(
-                dof[held_vertices] - first_owned, of_node
+                dof[rigid_vertices] - first_owned, of_node
             )
-        body = np.full(len(held_vertices), bodies.of_region[region])
+        body = np.full(len(rigid_vertices), bodies.of_region[region])
         support = np.where(is_prescribed, RIGIDLY, -1)
-        rows = vertex[held_vertices], body, support, np.ones(len(held_vertices), dtype=bool)
+        rows = vertex[rigid_vertices], body, support, np.ones(len(rigid_vertices), dtype=bool)
         vertices, of_bodies, supports, at_rigid = gather(body_forms.mesh.comm, *rows)
         all_holds.append((vertices, of_bodies, supports, at_rigid))
     # A rigid region replaces supports of its body at the same vertex.

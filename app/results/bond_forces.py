@@ -41,7 +41,7 @@ from app.scene.bodies import (
     facets_between,
     pieces_of,
 )
-from app.scene.frames import held_at
+from app.scene.frames import vertex_constraints
 from app.scene.scene import Interface
 
 # Strength of the cement-bone interface: Mann, Werner & Ayers 1999, as quoted by the paper in its
@@ -231,8 +231,11 @@ class BondForces:
         if frames is not None:
             frames = replace(frames, acts=frames.acts[:, body])
         facets = contact_facets(problem.tagged, pieces, problem.space, interfaces, scene.moduli)
-        holds = held_at(frames, problem.tagged, pieces, problem.space, scene.supports, facets)
-        points, entries = contact_points(facets, holds[0], [i.name for i in interfaces], holds[1])
+        constraints, axes = vertex_constraints(
+            frames, problem.tagged, pieces, problem.space, scene.supports, facets
+        )
+        names = [i.name for i in interfaces]
+        points, entries = contact_points(facets, constraints, names, axes)
         surface = points.surface
         levels = self._borders(surface.x) if self._borders else {}
         bond_names = [bond.name for bond in self._bonds]

@@ -1,14 +1,15 @@
 """Bodies of a scene on its mesh: regions that move together, and the facets between them.
 
-A body is a set of regions that no contact interface separates. The functions here read the
-distributed mesh (regions, boundaries, facets between regions); `app.interfaces.contact_points` then
-works on the gathered facets.
+A body is a set of regions that no contact interface separates. The functions of this module read
+the distributed mesh: regions, boundaries, and facets between regions.
+`app.interfaces.contact_points` then works on the gathered facets.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import basix
 import numpy as np
@@ -22,17 +23,19 @@ from app.laws.materials import Rigid
 from app.scene.scene import Interface
 from meshes.distribute import TaggedMesh
 
-# Nodes of each facet of a tetrahedron: vertices, then the middles of the edges opposite them.
-FACET_NODES = np.array(
-    [
-        [*vertices, *(4 + edge for edge in parts[1])]
-        for vertices, parts in zip(
-            basix.topology(basix.CellType.tetrahedron)[2],
-            basix.cell.sub_entity_connectivity(basix.CellType.tetrahedron)[2],
-            strict=True,
-        )
-    ]
-)
+
+def _facet_nodes() -> Ints:
+    """Nodes of each facet of a tetrahedron (4, 6): vertices, then middles of the opposite edges."""
+    vertices_of_facets = basix.topology(basix.CellType.tetrahedron)[2]
+    # For each facet, its vertices, edges, itself and the cell.
+    entities_of_facets = basix.cell.sub_entity_connectivity(basix.CellType.tetrahedron)[2]
+    nodes = []
+    for vertices, entities in zip(vertices_of_facets, entities_of_facets, strict=True):
+        nodes.append([*vertices, *(4 + edge for edge in entities[1])])
+    return np.array(nodes)
+
+
+FACET_NODES = _facet_nodes()
 
 
 @dataclass(frozen=True)
@@ -52,10 +55,13 @@ class Bodies:
 
 @dataclass(frozen=True)
 class FacetCells:
-    """Facets (n,) of cells that this rank owns, with their local numbers in those cells.
+    """Facets (n of them), each with a cell that this rank owns.
 
     Attributes:
-        outside: Cells on the other side, -1 where there is none (n,).
+        facets: Local facets (n,).
+        cells: Cell of each facet (n,).
+        local: Number of the facet in its cell, 0 to 3 (n,).
+        outside: Cell on the other side of the facet, -1 if there is none (n,).
     """
 
     facets: Ints
@@ -73,98 +79,103 @@ def cell_tags(tagged: TaggedMesh) -> Ints:
 
 
 def bodies_of(tagged: TaggedMesh, contacts: Sequence[Interface], rigid: Sequence[Rigid]) -> Bodies:
-    """Join regions that touch without a contact interface; collective.
+    """Bodies of a scene: regions that touch without a contact interface are joined; collective.
 
     Raises:
-        InputError: The sides of a contact interface are joined elsewhere.
+        InputError: The sides of a contact interface are joined by other regions.
     """
-    names = {tag: name for name, tag in tagged.regions.items()}
+    region_of_tag = {tag: region for region, tag in tagged.regions.items()}
     separated = _separated(tagged, contacts)
-    group = {tag: tag for tag in names}
-    for a, b in _touching(tagged):
-        if frozenset((a, b)) not in separated:
-            group = _joined(group, a, b)
-    # Where supports hold both sides of a jump the first body is the base: the rigid one, if any.
-    stiff = {group[tagged.regions[r.region]] for r in rigid}
+    # Tags of joined regions have the same label.
+    label_of_tag = {tag: tag for tag in region_of_tag}
+    for tag_a, tag_b in _touching(tagged):
+        if frozenset((tag_a, tag_b)) not in separated:
+            label_of_tag = _joined(label_of_tag, tag_a, tag_b)
+    # If supports hold both sides of a jump, the first body is the base. A rigid body comes first.
+    rigid_labels = {label_of_tag[tagged.regions[r.region]] for r in rigid}
 
     def rigid_first(label: int) -> tuple[bool, int]:
-        return label not in stiff, min(t for t in group if group[t] == label)
+        return label not in rigid_labels, min(t for t in label_of_tag if label_of_tag[t] == label)
 
-    labels = sorted(set(group.values()), key=rigid_first)
-    number = {g: k for k, g in enumerate(labels)}
-    of_region = {name: number[group[tag]] for tag, name in sorted(names.items())}
+    labels = sorted(set(label_of_tag.values()), key=rigid_first)
+    body_of_label = {label: body for body, label in enumerate(labels)}
+    body_of_tag = np.full(max(region_of_tag) + 1, -1, dtype=np.int64)
+    body_of_region: dict[str, int] = {}
+    regions_of_bodies: list[list[str]] = [[] for _ in labels]
+    for tag in sorted(region_of_tag):
+        region, body = region_of_tag[tag], body_of_label[label_of_tag[tag]]
+        body_of_tag[tag] = body
+        body_of_region[region] = body
+        regions_of_bodies[body].append(region)
     for c in contacts:
-        shared = {of_region[r] for r in c.master} & {of_region[r] for r in c.slave}
-        if shared:
+        master_bodies = {body_of_region[region] for region in c.master}
+        slave_bodies = {body_of_region[region] for region in c.slave}
+        if master_bodies & slave_bodies:
             raise InputError(
                 f"interfaces.{c.name}: its two sides are joined by other regions that are bonded "
                 "to both; allowed: an interface that separates two bodies"
             )
-    of_tag = np.full(max(names) + 1, -1, dtype=np.int64)
-    for tag, name in names.items():
-        of_tag[tag] = of_region[name]
-    return Bodies(
-        tuple(" + ".join(r for r, b in of_region.items() if b == k) for k in range(len(labels))),
-        of_region,
-        of_tag,
-    )
+    names = tuple(" + ".join(regions) for regions in regions_of_bodies)
+    return Bodies(names, body_of_region, body_of_tag)
 
 
 def pieces_of(
     tagged: TaggedMesh, interfaces: Sequence[Interface]
 ) -> tuple[Bodies, list[tuple[str, str]]]:
-    """Parts that all interfaces, also bonds, separate, as bodies; collective.
+    """Parts of the model that interfaces of any kind separate, bonds too, as bodies; collective.
 
     Returns:
         The bodies, without names, and pairs of regions that touch without an interface but belong
-        to two bodies. Together they would join the two sides of an interface.
+        to two bodies. If they were joined, they would join the two sides of an interface.
     """
-    names = {tag: name for name, tag in tagged.regions.items()}
+    region_of_tag = {tag: region for region, tag in tagged.regions.items()}
     separated = _separated(tagged, interfaces)
-    group, others = {tag: tag for tag in names}, []
-    for a, b in _touching(tagged):
-        if frozenset((a, b)) in separated:
+    label_of_tag = {tag: tag for tag in region_of_tag}
+    unjoined: list[tuple[str, str]] = []
+    for tag_a, tag_b in _touching(tagged):
+        if frozenset((tag_a, tag_b)) in separated:
             continue
-        joined = _joined(group, a, b)
-        if any(len({joined[tag] for tag in pair}) == 1 for pair in separated):
-            others.append((names[a], names[b]))
+        labels_if_joined = _joined(label_of_tag, tag_a, tag_b)
+        joins_sides = any(len({labels_if_joined[tag] for tag in sides}) == 1 for sides in separated)
+        if joins_sides:
+            unjoined.append((region_of_tag[tag_a], region_of_tag[tag_b]))
         else:
-            group = joined
-    labels = sorted(set(group.values()))
-    of_tag = np.full(max(names) + 1, -1, dtype=np.int64)
-    for tag, label in group.items():
-        of_tag[tag] = labels.index(label)
-    of_region = {name: int(of_tag[tag]) for tag, name in names.items()}
-    return Bodies(("",) * len(labels), of_region, of_tag), others
+            label_of_tag = labels_if_joined
+    labels = sorted(set(label_of_tag.values()))
+    body_of_tag = np.full(max(region_of_tag) + 1, -1, dtype=np.int64)
+    for tag, label in label_of_tag.items():
+        body_of_tag[tag] = labels.index(label)
+    body_of_region = {region: int(body_of_tag[tag]) for tag, region in region_of_tag.items()}
+    return Bodies(("",) * len(labels), body_of_region, body_of_tag), unjoined
 
 
 def _touching(tagged: TaggedMesh) -> list[tuple[int, int]]:
-    """Pairs of tags of regions that share facets, rising; collective."""
-    between = np.sort(cell_tags(tagged)[_interior(tagged)[1]], axis=1)
-    pairs = {(int(a), int(b)) for a, b in np.unique(between, axis=0) if a != b}
+    """Pairs of tags of regions that share facets, in ascending order; collective."""
+    pairs_of_facets = np.sort(cell_tags(tagged)[_interior(tagged)[1]], axis=1)
+    pairs = {(int(a), int(b)) for a, b in np.unique(pairs_of_facets, axis=0) if a != b}
     return sorted(set().union(*tagged.mesh.comm.allgather(pairs)))
 
 
 def _separated(tagged: TaggedMesh, interfaces: Sequence[Interface]) -> set[frozenset[int]]:
     """Pairs of tags of regions on the two sides of an interface."""
-    return {
-        frozenset((tagged.regions[a], tagged.regions[b]))
-        for c in interfaces
-        for a in c.master
-        for b in c.slave
-    }
+    pairs: set[frozenset[int]] = set()
+    for c in interfaces:
+        for master, slave in product(c.master, c.slave):
+            pairs.add(frozenset((tagged.regions[master], tagged.regions[slave])))
+    return pairs
 
 
-def _joined(group: Mapping[int, int], a: int, b: int) -> dict[int, int]:
-    """Return the group of each tag after the groups of two tags are joined."""
-    return {t: group[a] if g == group[b] else g for t, g in group.items()}
+def _joined(label_of_tag: Mapping[int, int], tag_a: int, tag_b: int) -> dict[int, int]:
+    """Labels of all tags after the tags with the labels of two tags are joined."""
+    label_a, label_b = label_of_tag[tag_a], label_of_tag[tag_b]
+    return {tag: label_a if label == label_b else label for tag, label in label_of_tag.items()}
 
 
 def boundary_facets(tagged: TaggedMesh, boundary: str) -> FacetCells:
     """Facets of a named boundary that this rank owns, each with its one cell.
 
     Raises:
-        InputError: It is no boundary of this mesh: a surface inside it, or an empty one.
+        InputError: The mesh has no such boundary: the surface is inside the mesh, or empty.
     """
     mesh = tagged.mesh
     if boundary not in tagged.boundaries:
@@ -172,10 +183,10 @@ def boundary_facets(tagged: TaggedMesh, boundary: str) -> FacetCells:
             f"boundary '{boundary}' is not part of the surface of this mesh; it has "
             f"{', '.join(tagged.boundaries)}"
         )
-    facets = np.concatenate([tagged.facet_tags.find(t) for t in tagged.boundaries[boundary]])
+    facets = np.concatenate([tagged.facet_tags.find(tag) for tag in tagged.boundaries[boundary]])
     facets = np.unique(facets[facets < mesh.topology.index_map(2).size_local]).astype(np.int64)
-    link = mesh.topology.connectivity(2, 3)
-    cells = link.array[link.offsets[facets]].astype(np.int64)
+    cells_of_facets = mesh.topology.connectivity(2, 3)
+    cells = cells_of_facets.array[cells_of_facets.offsets[facets]].astype(np.int64)
     outside = np.full(len(facets), -1)
     return FacetCells(facets, cells, _local_numbers(tagged, facets, cells), outside)
 
@@ -183,23 +194,30 @@ def boundary_facets(tagged: TaggedMesh, boundary: str) -> FacetCells:
 def facets_by_body(
     tagged: TaggedMesh, bodies: Bodies, boundary: str
 ) -> dict[int, NDArray[np.int32]]:
-    """Owned facets of a boundary by body, the same bodies on all ranks; collective."""
+    """Owned facets of a boundary, by body; collective.
+
+    Every rank has all bodies at the boundary, also bodies without facets of this rank.
+    """
     f = boundary_facets(tagged, boundary)
     body = bodies.of_tag[cell_tags(tagged)[f.cells]]
-    present = set().union(*tagged.mesh.comm.allgather({int(b) for b in np.unique(body)}))
-    return {b: f.facets[body == b].astype(np.int32) for b in sorted(present)}
+    local_bodies = {int(b) for b in np.unique(body)}
+    all_bodies = set().union(*tagged.mesh.comm.allgather(local_bodies))
+    return {b: f.facets[body == b].astype(np.int32) for b in sorted(all_bodies)}
 
 
 def _interior(tagged: TaggedMesh) -> tuple[Ints, Ints]:
     """Facets of this rank with two cells (n,), and both cells (n, 2)."""
-    link = tagged.mesh.topology.connectivity(2, 3)
-    inside = np.flatnonzero(np.diff(link.offsets) == 2)
-    return inside, link.array[link.offsets[inside][:, None] + np.arange(2)].astype(np.int64)
+    cells_of_facets = tagged.mesh.topology.connectivity(2, 3)
+    offsets = cells_of_facets.offsets
+    facets = np.flatnonzero(np.diff(offsets) == 2)
+    cells = cells_of_facets.array[offsets[facets][:, None] + np.arange(2)]
+    return facets, cells.astype(np.int64)
 
 
 def _local_numbers(tagged: TaggedMesh, facets: Ints, cells: Ints) -> Ints:
-    link = tagged.mesh.topology.connectivity(3, 2).array.reshape(-1, 4)
-    return np.argmax(link[cells] == facets[:, None], axis=1)
+    """Numbers of facets in their cells, 0 to 3 (n,)."""
+    facets_of_cells = tagged.mesh.topology.connectivity(3, 2).array.reshape(-1, 4)
+    return np.argmax(facets_of_cells[cells] == facets[:, None], axis=1)
 
 
 def contact_facets(
@@ -209,9 +227,9 @@ def contact_facets(
     contacts: Sequence[Interface],
     moduli: Mapping[str, float],
 ) -> InterfaceFacets:
-    """Facets of all contact interfaces, replicated in canonical order; collective.
+    """Facets of all contact interfaces, on all ranks in the same order; collective.
 
-    Jumps move the softer side, by moduli of regions, 0 if absent.
+    ``moduli`` are the moduli of regions, 0 if absent: jumps move the softer side.
 
     Raises:
         InputError: An interface has no facets on this mesh.
@@ -220,24 +238,33 @@ def contact_facets(
     stiffness = np.zeros(len(bodies.of_tag))
     for region, modulus in moduli.items():
         stiffness[tagged.regions[region]] = modulus
-    rows = []
-    for i, c in enumerate(contacts):
+    columns_of_interfaces = []
+    for index, c in enumerate(contacts):
         f = facets_between(tagged, c.slave, c.master)
         if comm.allreduce(len(f.cells)) == 0 and not c.between:
             raise InputError(
                 f"interfaces.{c.name}: its two sides share no facet of the mesh; allowed: regions "
                 "that touch on a conforming mesh, or `sliding: finite` between two boundaries"
             )
-        sides = tags[np.column_stack([f.outside, f.cells])]
+        side_tags = tags[np.column_stack([f.outside, f.cells])]
         if c.between:
             f = boundary_facets(tagged, c.between[1])
-            sides = np.column_stack(
-                [np.full_like(f.cells, tagged.regions[c.master[0]]), tags[f.cells]]
+            master_tags = np.full_like(f.cells, tagged.regions[c.master[0]])
+            side_tags = np.column_stack([master_tags, tags[f.cells]])
+        vertices, dofs, x, cell_centres = facet_nodes(tagged, space, f)
+        columns_of_interfaces.append(
+            (
+                np.full(len(vertices), index),
+                vertices,
+                bodies.of_tag[side_tags],
+                dofs,
+                x,
+                cell_centres,
+                stiffness[side_tags],
             )
-        numbers, dofs, x, inside = facet_nodes(tagged, space, f)
-        columns = np.full(len(numbers), i), numbers, bodies.of_tag[sides], dofs, x, inside
-        rows.append((*columns, stiffness[sides]))
-    return sorted_facets(*gather(comm, *map(np.concatenate, zip(*rows, strict=True))))
+        )
+    columns = map(np.concatenate, zip(*columns_of_interfaces, strict=True))
+    return sorted_facets(*gather(comm, *columns))
 
 
 def _at_facets(values: NDArray, f: FacetCells) -> NDArray:
@@ -250,23 +277,28 @@ def facet_nodes(
     tagged: TaggedMesh, space: fem.FunctionSpace, f: FacetCells
 ) -> tuple[Ints, Ints, NDArray, NDArray]:
     """Vertex numbers (f, 3), global dofs (f, 3 or 6) and `facet_coordinates` of facets."""
-    local = np.ascontiguousarray(_at_facets(space.dofmap.list, f), dtype=np.int32)
-    dofs = space.dofmap.index_map.local_to_global(local.ravel()).reshape(local.shape)
+    local_dofs = np.ascontiguousarray(_at_facets(space.dofmap.list, f), dtype=np.int32)
+    dofs = space.dofmap.index_map.local_to_global(local_dofs.ravel()).reshape(local_dofs.shape)
     geometry = tagged.mesh.geometry
-    nodes = _at_facets(geometry.dofmap, f)[:, :3]
-    numbers = np.asarray(geometry.input_global_indices)[nodes].astype(np.int64)
+    vertices = _at_facets(geometry.dofmap, f)[:, :3]
+    numbers = np.asarray(geometry.input_global_indices)[vertices].astype(np.int64)
     return numbers, dofs.astype(np.int64), *facet_coordinates(tagged, f)
 
 
 def facets_between(tagged: TaggedMesh, inside: Sequence[str], outside: Sequence[str]) -> FacetCells:
-    """Facets between regions, with the cell inside, which this rank owns."""
-    facets, pairs = _interior(tagged)
-    tags = cell_tags(tagged)[pairs]
-    near, far = (np.isin(tags, [tagged.regions[r] for r in side]) for side in (inside, outside))
-    owned = near & far[:, ::-1] & (pairs < tagged.mesh.topology.index_map(3).size_local)
-    rows, side = np.nonzero(owned)
-    facets, cells = facets[rows], pairs[rows, side]
-    return FacetCells(facets, cells, _local_numbers(tagged, facets, cells), pairs[rows, 1 - side])
+    """Facets between two sets of regions, with their inside cells, which this rank owns."""
+    all_facets, cell_pairs = _interior(tagged)
+    tags = cell_tags(tagged)[cell_pairs]
+    is_inside = np.isin(tags, [tagged.regions[region] for region in inside])
+    is_outside = np.isin(tags, [tagged.regions[region] for region in outside])
+    is_owned = cell_pairs < tagged.mesh.topology.index_map(3).size_local
+    # A column is a cell of the pair; the outside cell is in the other column.
+    rows, column = np.nonzero(is_inside & is_outside[:, ::-1] & is_owned)
+    facets = all_facets[rows]
+    inside_cells = cell_pairs[rows, column]
+    outside_cells = cell_pairs[rows, 1 - column]
+    local_numbers = _local_numbers(tagged, facets, inside_cells)
+    return FacetCells(facets, inside_cells, local_numbers, outside_cells)
 
 
 def facet_coordinates(tagged: TaggedMesh, f: FacetCells) -> tuple[NDArray, NDArray]:
@@ -283,7 +315,7 @@ def nodes_on(tagged: TaggedMesh, space: fem.FunctionSpace, boundary: str) -> Int
 
 
 def touched_nodes(space: fem.FunctionSpace, cells: Bools) -> Bools:
-    """Mask of the owned nodes that belong to such cells of any rank (n,); collective."""
+    """Mask of the owned nodes of masked ``cells`` of any rank (n,); collective."""
     marks = fem.Function(space)
     marks.x.array.reshape(-1, 3)[np.unique(space.dofmap.list[np.flatnonzero(cells)])] = 1
     marks.x.scatter_reverse(la.InsertMode.add)
