@@ -33,8 +33,8 @@ from ufl.core.expr import Expr
 from forms import Scalar
 from forms.contact import Faces
 
-# A point is loading if its damage is within this of the damage of its jump [-]. The state at the
-# begin of a step then counts as loading, so that the first tangent of the step is not elastic.
+# A point is loading if the damage of its jump is at least its committed damage minus this [-]. The
+# state at the start of a step then counts as loading: the first tangent of the step is not elastic.
 LOADING = 1e-12
 # Squares of a jump below this count as zero [mm2].
 ZERO_SQUARE = 1e-30
@@ -64,20 +64,20 @@ class Cohesion:
     unbonded: Scalar
     exponential: bool
 
-    def mode(self, opened: Scalar, slid: Scalar) -> tuple[Scalar, Scalar]:
+    def mode(self, opening_square: Scalar, sliding_square: Scalar) -> tuple[Scalar, Scalar]:
         """Jump at onset m_0 [mm] and fracture energy G [N/mm] of a mode mixture.
 
         Args:
-            opened: Square of the opening [mm2].
-            slid: Square of the sliding [mm2].
+            opening_square: Square of the opening [mm2].
+            sliding_square: Square of the sliding [mm2].
         """
-        square = opened + slid
-        B = conditional(
-            gt(square, ZERO_SQUARE), slid / conditional(gt(square, ZERO_SQUARE), square, 1), 0
-        )
+        square = opening_square + sliding_square
+        # Inner conditions avoid derivatives of 0/0 and of a power at 0.
+        has_jump = gt(square, ZERO_SQUARE)
+        B = conditional(has_jump, sliding_square / conditional(has_jump, square, 1), 0)
         m_0 = 1 / (self.K * sqrt((1 - B) / self.N**2 + B / self.S**2))
-        mixed = conditional(gt(B, 0), conditional(gt(B, 0), B, 1) ** self.η, 0)
-        return m_0, self.G_I + (self.G_II - self.G_I) * mixed
+        B_to_η = conditional(gt(B, 0), conditional(gt(B, 0), B, 1) ** self.η, 0)
+        return m_0, self.G_I + (self.G_II - self.G_I) * B_to_η
 
     def remaining(self, m: Scalar, m_0: Scalar, G: Scalar) -> Scalar:
         """Return 1 - d of a jump of size m beyond onset [-].
@@ -90,10 +90,10 @@ class Cohesion:
         return conditional(ge(m, m_f), 0, m_0 * (m_f - m) / (m * (m_f - m_0)))
 
     def spent(self, m: Scalar, m_0: Scalar, G: Scalar) -> Scalar:
-        """Return the part of G that a jump of size m beyond onset has dissipated [-]."""
+        """Return the fraction of G that a jump of size m beyond onset has dissipated [-]."""
         if self.exponential:
-            remaining = exp((m_0 - m) / (G / (self.K * m_0) - m_0 / 2))
-            return 1 - remaining * (1 + self.K * m_0 * (m - m_0) / (2 * G))
+            decay = exp((m_0 - m) / (G / (self.K * m_0) - m_0 / 2))
+            return 1 - decay * (1 + self.K * m_0 * (m - m_0) / (2 * G))
         m_f = 2 * G / (self.K * m_0)
         return conditional(ge(m, m_f), 1, (m - m_0) / (m_f - m_0))
 
@@ -109,7 +109,7 @@ class CohesiveState:
         debonded_share: Share of the area on which contact acts [-]; 0 in a step that begins
             undamaged.
         damage: Damage of the bonded share [-].
-        spent: Part of the fracture energy that is dissipated so far [-].
+        spent: Fraction of the fracture energy that is dissipated so far [-].
     """
 
     traction: Expr
@@ -121,45 +121,51 @@ class CohesiveState:
 
 
 def cohesive_state(
-    c: Cohesion, gap: Expr, normals: Faces, committed: Mapping[str, Expr], frozen: Expr
+    law: Cohesion, gap: Expr, normals: Faces, committed: Mapping[str, Expr], frozen: Expr
 ) -> CohesiveState:
     """Cohesive traction, energies and internal variables of a contact point.
 
     Args:
-        c: Constants of the law.
+        law: Constants of the law.
         gap: Displacement of the slave minus that of the master, with the initial gap (3,) [mm].
         normals: Unit normals of the faces, from master to slave.
         committed: Internal variables `damage` and `spent` of the last converged state [-].
         frozen: 1 while damage is frozen, else 0.
     """
-    a = normals.components(gap)
-    # At zero opening the slope is that of opening. A damaged point does not resist closing by
-    # cohesion, and while contact is opened nothing else would resist.
-    opened = normals.span([conditional(ge(part, 0), part, 0) for part in a])
-    pressed = normals.span([conditional(ge(part, 0), 0, part) for part in a])
-    slid = gap - normals.span(a)
-    pulled = opened + slid
+    normal_components = normals.components(gap)
+    # At zero opening the derivative is that of opening. If it were that of closing, a damaged point
+    # would not resist by cohesion, and nothing else would while contact is switched off.
+    opening = normals.span([conditional(ge(D_n, 0), D_n, 0) for D_n in normal_components])
+    closing = normals.span([conditional(ge(D_n, 0), 0, D_n) for D_n in normal_components])
+    sliding = gap - normals.span(normal_components)
+    opening_and_sliding = opening + sliding
 
-    m_0, G = c.mode(inner(opened, opened), inner(slid, slid))
-    size = inner(opened, opened) + inner(slid, slid)
-    m = sqrt(conditional(gt(size, m_0**2), size, m_0**2))
-    remaining = c.remaining(m, m_0, G)
-    loading = And(ge(1 - remaining, committed["damage"] - LOADING), lt(frozen, 0.5))
-    damage = conditional(loading, 1 - remaining, committed["damage"])
-    bonded = 1 - c.unbonded
-    remaining = bonded * conditional(loading, remaining, 1 - committed["damage"])
+    m_0, G = law.mode(inner(opening, opening), inner(sliding, sliding))
+    square = inner(opening, opening) + inner(sliding, sliding)
+    m = sqrt(conditional(gt(square, m_0**2), square, m_0**2))
+    remaining_at_jump = law.remaining(m, m_0, G)
+    is_loading = And(ge(1 - remaining_at_jump, committed["damage"] - LOADING), lt(frozen, 0.5))
+    damage = conditional(is_loading, 1 - remaining_at_jump, committed["damage"])
+    bonded = 1 - law.unbonded
+    remaining = bonded * conditional(is_loading, remaining_at_jump, 1 - committed["damage"])
     # If the mode mixture changes, more damage may be a smaller part of another fracture energy.
-    spent = c.spent(m, m_0, G)
-    spends = And(loading, ge(spent, committed["spent"] - LOADING))
-    spent = conditional(spends, spent, committed["spent"])
+    spent_at_jump = law.spent(m, m_0, G)
+    is_spending = And(is_loading, ge(spent_at_jump, committed["spent"] - LOADING))
+    spent = conditional(is_spending, spent_at_jump, committed["spent"])
 
-    touches = gt(c.unbonded + bonded * committed["damage"], 0)
-    spring = conditional(touches, 0, c.K)
+    # Undamaged points are springs in compression, points with a debonded area have contact.
+    has_debonded_area = gt(law.unbonded + bonded * committed["damage"], 0)
+    K_closing = conditional(has_debonded_area, 0, law.K)
+    K_remaining = remaining * law.K
     return CohesiveState(
-        traction=remaining * c.K * pulled + spring * pressed,
-        stored=(remaining * c.K * inner(pulled, pulled) + spring * inner(pressed, pressed)) / 2,
+        traction=K_remaining * opening_and_sliding + K_closing * closing,
+        stored=(
+            K_remaining * inner(opening_and_sliding, opening_and_sliding)
+            + K_closing * inner(closing, closing)
+        )
+        / 2,
         dissipated_in_step=bonded * G * (spent - committed["spent"]),
-        debonded_share=conditional(touches, 1 - remaining, 0),
+        debonded_share=conditional(has_debonded_area, 1 - remaining, 0),
         damage=damage,
         spent=spent,
     )

@@ -60,11 +60,11 @@ from ufl.variable import Variable
 
 from forms import Scalar
 
-# A face counts as open if its gap exceeds minus this fraction of |S|/r, so that the sign of a
-# rounding error does not decide.
+# A face counts as open if its gap exceeds minus this fraction of |S|/r. The sign of a rounding
+# error then does not decide.
 ROUNDING = 1e-9
-# A point sticks until its tangential trial force exceeds the limit of friction by this part.
-# Rounding then does not decide while loads are constant.
+# A point has the status STICK until its tangential trial force exceeds the limit of friction by
+# this fraction. Rounding errors then do not decide while loads are constant.
 AT_REST = 1e-6
 
 # States of a point.
@@ -143,7 +143,16 @@ class Response:
 
 @dataclass(frozen=True)
 class _Touching:
-    """State of a point while a given set of its faces touches; open if the set is empty."""
+    """State of a point while a given set of its faces touches; open if the set is empty.
+
+    Attributes:
+        faces: Indices of the touching faces.
+        pressures: Pressures of these faces [MPa].
+        tangential: Trial force tangential to these faces (3,) [MPa].
+        radius: Radius of the friction disc [MPa]; None without friction.
+        sticks: Condition of stick; None without friction.
+        condition: Condition that this set of faces touches; None if it always holds.
+    """
 
     faces: tuple[int, ...]
     pressures: list[Expr]
@@ -196,29 +205,31 @@ def contact_law(
     d = variable(jump)
     S = f + r * (d + gap)
     dS = f + r * (d - jump_old)
-    live = _states(S, dS, normals, μ)
-    frozen = _states(S_star, dS, normals, μ)
+    states = _states(S, dS, normals, μ)
+    # The same states with the frozen trial force in the radius of the friction disc.
+    frozen_states = _states(S_star, dS, normals, μ)
 
-    def carried(k: int) -> Expr:
-        """Square of the part of S that the point carries in its state k."""
-        t = live[k]
-        normal = _combine(components(S, [normals[f] for f in t.faces]), t.faces, normals)
-        return inner(normal, normal) + _square_in_disc(t, frozen[k].radius)
+    def carried_square(k: int) -> Expr:
+        """Square of the part of S that the point carries in its state k [MPa^2]."""
+        state = states[k]
+        touching_normals = [normals[face] for face in state.faces]
+        normal_part = _combine(components(S, touching_normals), state.faces, normals)
+        friction_square = _square_in_disc(state, frozen_states[k].radius)
+        return inner(normal_part, normal_part) + friction_square
 
-    square = _choose(live, carried)
-    energy = (square - inner(f, f)) / (2 * r)
+    energy = (_choose(states, carried_square) - inner(f, f)) / (2 * r)
 
     force = replace(derivative(energy, d), {S_star: S})
-    slope = derivative(force, f)
-    pressures, status = _state(live, len(normals))
-    return Response(force, slope, None, pressures, status, energy=energy)
+    by_multiplier = derivative(force, f)
+    pressures, status = _pressures_and_status(states, len(normals))
+    return Response(force, by_multiplier, None, pressures, status, energy=energy)
 
 
 def projected(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Scalar | None) -> Response:
     """Projection P of a trial force, with the state of the point.
 
-    Laws with layers or cohesion are composed of it. Faces touch if S presses them, and also at
-    S = 0, where a point sticks. A law that is open at rest would have no stiffness there, and
+    Laws with layers or cohesion use this projection. Faces touch if S presses them, and also at
+    S = 0, where a point sticks. A law that is open at S = 0 would have no stiffness at rest, and
     bodies that nothing else holds would move away.
 
     Args:
@@ -229,19 +240,24 @@ def projected(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Scalar | None) -> 
     """
     states = _states(S, dS, normals, μ)
 
-    def carried(k: int) -> Expr:
-        t = states[k]
-        normal = _combine(components(S, [normals[f] for f in t.faces]), t.faces, normals)
-        if t.sticks is None:
-            return normal
-        size = sqrt(conditional(t.sticks, 1, inner(t.tangential, t.tangential)))
-        return normal + conditional(t.sticks, 1, t.radius / size) * t.tangential
+    def carried_force(state: _Touching) -> Expr:
+        """Part of the trial force that the point carries in a state (3,) [MPa]."""
+        touching_normals = [normals[face] for face in state.faces]
+        normal_part = _combine(components(S, touching_normals), state.faces, normals)
+        if state.sticks is None:
+            return normal_part
+        square = inner(state.tangential, state.tangential)
+        size = sqrt(conditional(state.sticks, 1, square))
+        factor = conditional(state.sticks, 1, state.radius / size)
+        return normal_part + factor * state.tangential
 
-    carried_forces = [carried(k) for k in range(len(states))]
-    force = as_vector(
-        [_choose(states, partial(lambda i, k: carried_forces[k][i], i)) for i in range(3)]
-    )
-    pressures, status = _state(states, len(normals))
+    forces = [carried_force(state) for state in states]
+
+    def force_component(component: int, k: int) -> Expr:
+        return forces[k][component]
+
+    force = as_vector([_choose(states, partial(force_component, i)) for i in range(3)])
+    pressures, status = _pressures_and_status(states, len(normals))
     return Response(force, None, None, pressures, status)
 
 
@@ -250,17 +266,21 @@ def _states(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Scalar | None) -> li
 
     Single faces come first, so that friction belongs to one face.
     """
-    faces = range(len(normals))
-    sets = [A for size in range(1, len(normals) + 1) for A in combinations(faces, size)]
-    states = [_touching(A, S, dS, normals, μ) for A in sets]
+    states: list[_Touching] = []
+    for set_size in range(1, len(normals) + 1):
+        for touching_faces in combinations(range(len(normals)), set_size):
+            states.append(_touching(touching_faces, S, dS, normals, μ))
     no_contact = _Touching((), [], 0 * S, None, None, None)
     if len(normals) == 1:
         return [*states, no_contact]
     all_open = reduce(And, [ge(dot(S, n), 0) for n in normals])
-    last = states[-1]
-    pressures = [max_value(value, 0) for value in last.pressures]
-    radius, sticks = _friction(μ, pressures, last.tangential)
-    jammed = replace_state(last, pressures=pressures, radius=radius, sticks=sticks, condition=None)
+    # If no set satisfies its condition, all faces touch.
+    all_touch = states[-1]
+    pressures = [max_value(pressure, 0) for pressure in all_touch.pressures]
+    radius, sticks = _friction(μ, pressures, all_touch.tangential)
+    jammed = replace_state(
+        all_touch, pressures=pressures, radius=radius, sticks=sticks, condition=None
+    )
     return [*states, replace_state(no_contact, condition=all_open), jammed]
 
 
@@ -269,17 +289,18 @@ def derivative(value: Scalar, unknown: Variable) -> Expr:
     return expand_derivatives(diff(value, unknown))
 
 
-def _state(states: Sequence[_Touching], faces: int) -> tuple[Expr, Expr]:
+def _pressures_and_status(states: Sequence[_Touching], face_count: int) -> tuple[Expr, Expr]:
     """Pressures of the faces and status of a point."""
-    pressures = [
-        _choose(states, lambda k, f=f: states[k].pressure(f))  # type: ignore[misc]
-        for f in range(faces)
-    ]
+
+    def pressure(face: int, k: int) -> Expr:
+        return states[k].pressure(face)
+
+    pressures = [_choose(states, partial(pressure, face)) for face in range(face_count)]
     return as_vector(pressures), _choose(states, lambda k: states[k].status())
 
 
 def _choose(states: Sequence[_Touching], value: Callable[[int], Expr]) -> Expr:
-    """Return the value of the first state whose condition holds."""
+    """Value of the first state whose condition holds; ``value`` is a function of its index."""
     chosen = value(len(states) - 1)
     for k in reversed(range(len(states) - 1)):
         chosen = conditional(states[k].condition, value(k), chosen)
@@ -294,19 +315,21 @@ def _touching(
     p = [-a for a in components(S, n)]
     S_T = dS - _combine(components(dS, n), A, normals)
     radius, sticks = _friction(μ, p, S_T)
-    condition = reduce(And, [ge(value, 0) for value in p])
-    others = [m for k, m in enumerate(normals) if k not in A]
-    if others:
-        # r times the gap vector these faces leave: what was open before, plus the slip.
-        before = S - dS
-        gap_force = before - _combine(components(before, n), A, normals)
+    condition = reduce(And, [ge(pressure, 0) for pressure in p])
+    open_normals = [normal for k, normal in enumerate(normals) if k not in A]
+    if open_normals:
+        # r times the gap vector while A touches: the old gap without its part along the normals
+        # of A, plus the slip.
+        old_gap_force = S - dS
+        gap_force = old_gap_force - _combine(components(old_gap_force, n), A, normals)
         if μ is None:
             gap_force = gap_force + S_T
         else:
             size = sqrt(conditional(sticks, 1, inner(S_T, S_T)))
             gap_force = gap_force + conditional(sticks, 0, 1 - radius / size) * S_T
-        for m in others:
-            condition = And(condition, ge(dot(gap_force, m), -ROUNDING * sqrt(inner(S, S))))
+        for normal in open_normals:
+            is_open = ge(dot(gap_force, normal), -ROUNDING * sqrt(inner(S, S)))
+            condition = And(condition, is_open)
     return _Touching(A, p, S_T, radius, sticks, condition)
 
 
@@ -318,13 +341,13 @@ def _friction(μ: Scalar | None, p: Sequence[Scalar], S_T: Scalar) -> tuple[Scal
     return radius, le(inner(S_T, S_T), radius**2)
 
 
-def _square_in_disc(t: _Touching, radius: Scalar) -> Scalar:
-    r""":math:`|S_T|^2 - dist^2(S_T, C)`; without friction the disc is a point and this is zero."""
-    if t.sticks is None:
+def _square_in_disc(state: _Touching, radius: Scalar) -> Scalar:
+    r"""Square :math:`|S_T|^2 - dist^2(S_T, C)` [MPa^2]; zero without friction: C is a point."""
+    if state.sticks is None:
         return 0 * _ONE
-    square = inner(t.tangential, t.tangential)
-    size = sqrt(conditional(t.sticks, 1, square))
-    return conditional(t.sticks, square, 2 * radius * size - radius**2)
+    square = inner(state.tangential, state.tangential)
+    size = sqrt(conditional(state.sticks, 1, square))
+    return conditional(state.sticks, square, 2 * radius * size - radius**2)
 
 
 def components(S: Expr, normals: Sequence[Expr]) -> list[Scalar]:
@@ -332,20 +355,22 @@ def components(S: Expr, normals: Sequence[Expr]) -> list[Scalar]:
     b = [dot(S, n) for n in normals]
     if len(b) < 2:
         return b
-    g = [[dot(n, m) for m in normals] for n in normals]
-    det = _determinant(g)
-    return [
-        _determinant([[b[i] if k == j else g[i][k] for k in range(len(b))] for i in range(len(b))])
-        / det
-        for j in range(len(b))
-    ]
+    gram = [[dot(n, m) for m in normals] for n in normals]
+    determinant = _determinant(gram)
+    coefficients: list[Scalar] = []
+    for column in range(len(b)):
+        replaced = [row.copy() for row in gram]
+        for row, product in zip(replaced, b, strict=True):
+            row[column] = product
+        coefficients.append(_determinant(replaced) / determinant)
+    return coefficients
 
 
-def _determinant(m: list[list[Scalar]]) -> Scalar:
+def _determinant(matrix: list[list[Scalar]]) -> Scalar:
     """Determinant of a 2 x 2 or 3 x 3 array of scalars."""
-    if len(m) == 2:
-        return m[0][0] * m[1][1] - m[0][1] * m[1][0]
-    a, b, c = m
+    if len(matrix) == 2:
+        return matrix[0][0] * matrix[1][1] - matrix[0][1] * matrix[1][0]
+    a, b, c = matrix
     return (
         a[0] * (b[1] * c[2] - b[2] * c[1])
         + a[1] * (b[2] * c[0] - b[0] * c[2])
@@ -354,5 +379,5 @@ def _determinant(m: list[list[Scalar]]) -> Scalar:
 
 
 def _combine(a: Sequence[Scalar], faces: Sequence[int], normals: Sequence[Expr]) -> Expr:
-    """Sum of a_k n_k over the given faces."""
-    return sum((c * normals[k] for c, k in zip(a, faces, strict=True)), 0 * normals[0])
+    """Sum of a_k n_k over faces; ``a`` has one coefficient for each of them."""
+    return sum((a_k * normals[k] for a_k, k in zip(a, faces, strict=True)), 0 * normals[0])

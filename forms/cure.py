@@ -1,6 +1,6 @@
-r"""Setting cement: rate of cure, modulus and free strain.
+r"""Setting cement: rate of cure, modulus and free strain at a point.
 
-Symbols: a degree of cure [-], T temperature [K] at one point. All functions take UFL expressions.
+Symbols: a degree of cure [-], T temperature [K]. All functions take UFL expressions.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ GAS_CONSTANT = 8.314462618
 def autocatalytic_rate(
     a: Expr, T: Expr, limit: Scalar, k0: Scalar, Ea: Scalar, m: Scalar, n: Scalar
 ) -> Expr:
-    r"""Rate of an autocatalytic reaction [1/s]: reacted material speeds it up.
+    r"""Rate of cure of an autocatalytic reaction, which reacted material accelerates [1/s].
 
     .. math:: \dot a = k_0 e^{-E_a / (R T)} a^m (a_{max} - a)_+^n
 
@@ -69,8 +69,8 @@ def modulus_factor(a: Expr, gel: Scalar, floor: Scalar, exponent: Scalar) -> Exp
 
 def solid_share(a_old: Expr, a: Expr, gel: Scalar) -> Expr:
     """Share of a step after gelation [-], for a degree of cure that is linear in the step."""
-    crossing = (a - gel) / conditional(lt(a_old, a), a - a_old, 1)
-    return conditional(ge(a_old, gel), 1, conditional(le(a, gel), 0, crossing))
+    share_after_gelation = (a - gel) / conditional(lt(a_old, a), a - a_old, 1)
+    return conditional(ge(a_old, gel), 1, conditional(le(a, gel), 0, share_after_gelation))
 
 
 def free_strain_increment(
@@ -82,34 +82,36 @@ def free_strain_increment(
               {1 - a_{gel}}
 
     :math:`T_{gel}` is the temperature at which the material is first solid in the step. If gelation
-    happens within the step, it is the temperature there, with T linear in a; else that at the
-    start. Before gelation the paste flows and keeps no strain. Temperature and shrinkage enter by
-    increments, because the modulus changes with time: Stańczyk and Telega, Eng Trans 51 (2003) 267.
+    happens within the step, it is the temperature at gelation, with T linear in a. Otherwise it is
+    the temperature at the start. Before gelation the paste flows and keeps no strain. Temperature
+    and shrinkage enter by increments, because the modulus changes with time: Stańczyk and Telega,
+    Eng Trans 51 (2003) 267.
 
     Args:
         a_old: Degree of cure before the step.
         T_old: Temperature before the step [K].
-        a: Degree of cure after it.
-        T: Temperature after it [K].
+        a: Degree of cure after the step.
+        T: Temperature after the step [K].
         gel: Degree of cure at gelation.
         expansion: Thermal expansion α_T [1/K].
         shrinkage: Volumetric shrinkage s from gelation to full cure.
     """
     thermal = expansion * solid_share(a_old, a, gel) * (T - T_old)
-    gelled = max_value(a, gel) - max_value(a_old, gel)
-    return thermal - shrinkage / 3 * gelled / (1 - gel)
+    cure_after_gelation = max_value(a, gel) - max_value(a_old, gel)
+    return thermal - shrinkage / 3 * cure_after_gelation / (1 - gel)
 
 
-def piecewise_linear(x: Expr, places: Sequence[Scalar], values: Sequence[Scalar]) -> Expr:
-    """Piecewise linear function of x, constant beyond the first and the last place.
+def piecewise_linear(x: Expr, knots: Sequence[Scalar], values: Sequence[Scalar]) -> Expr:
+    """Piecewise linear function of x, constant below the first and above the last knot.
 
     Args:
         x: Argument.
-        places: Places, rising.
-        values: Values at the places.
+        knots: Values of x, ascending.
+        values: Values of the function at the knots.
     """
-    pairs = list(zip(places, values, strict=True))
+    pairs = list(zip(knots, values, strict=True))
     value = pairs[-1][1]
-    for (x0, v0), (x1, v1) in reversed(list(pairwise(pairs))):
-        value = conditional(lt(x, x1), v0 + (v1 - v0) * (x - x0) / (x1 - x0), value)
+    for (x_0, value_0), (x_1, value_1) in reversed(list(pairwise(pairs))):
+        linear = value_0 + (value_1 - value_0) * (x - x_0) / (x_1 - x_0)
+        value = conditional(lt(x, x_1), linear, value)
     return conditional(lt(x, pairs[0][0]), pairs[0][1], value)

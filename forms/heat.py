@@ -3,10 +3,10 @@ r"""Heat in bodies: dissipation potentials of conduction and exchange, power of 
 The heat equation of each body, :math:`c\,\dotθ = ∇·(k ∇θ) + Q`, has the weak form
 
 .. math:: ∫ c\, \dotθ\, v + ∂_θ \Big( ∫ φ(∇θ) + ∫ φ_b(θ) + ∫_{∂} φ_a(θ) \Big)[v]
-          = ∫ Q\, v + ∫_{∂} q\, v \qquad ∀ v,
+          = ∫ Q\, v + ∫_{∂} q\, v \qquad ∀ v.
 
-The derivatives of the potentials are heat flows. Fourier's heat flux :math:`-∂φ/∂∇θ = -k ∇θ` is
-positive down the gradient (paper eq. 20). The heat that leaves through a surface is
+The derivatives of the potentials are heat fluxes. Fourier's heat flux :math:`-∂φ/∂∇θ = -k ∇θ` is
+directed down the gradient (paper eq. 20). The heat that leaves through a surface is
 :math:`∂φ_a/∂θ` per area.
 
 Symbols: θ temperature [K], g = ∇θ [K/mm], c capacity per volume (density times specific heat)
@@ -43,8 +43,8 @@ def fibre_conduction(g: Expr, m: Expr, k_l: Scalar, k_t: Scalar) -> Expr:
 def exchange(θ: Expr, coefficient: Scalar, outside: Scalar) -> Expr:
     r"""Potential of exchange with surroundings: :math:`\tfrac12 a (θ - θ_a)^2`.
 
-    Convection acts per area, with a film coefficient a [N/(mm s K)]. Perfusion acts per volume.
-    There a is the perfusion rate times the heat capacity of blood [N/(mm2 s K)]: Pennes (1948),
+    Convection acts per area; a is its film coefficient [N/(mm s K)]. Perfusion acts per volume; a
+    is the perfusion rate times the heat capacity of blood [N/(mm2 s K)]: Pennes (1948),
     doi:10.1152/jappl.1948.1.2.93.
 
     Args:
@@ -56,5 +56,5 @@ def exchange(θ: Expr, coefficient: Scalar, outside: Scalar) -> Expr:
 
 
 def heating_power(q: Scalar, v: Expr) -> Expr:
-    """Power of entering heat q v, with q per area [N/(mm s)] or per volume [N/(mm2 s)]."""
+    """Power q v of heat that enters, with q per area [N/(mm s)] or per volume [N/(mm2 s)]."""
     return q * v

@@ -16,7 +16,7 @@ Equations are from Rakotomanana and Ramaniraka's paper, three of them corrected:
 * Eq. 66-68 print the potential ½ h P T^2, where P <= 0 is the contact force and T = θ' - θ. Heat
   would then flow from cold to warm. The correct potential is ½ h |P| T^2: conductance grows with
   the pressure.
-* The last term of eq. 68, (friction power) T, gives +D to one side and -D to the other, no heat in
+* The last term of eq. 68, (friction power) T, gives +D to one side and -D to the other: no heat in
   total. Both sides must get a part of D. The potential is -D ((1 - β) θ + β θ'), where β is the
   share of the slave.
 """
@@ -63,11 +63,14 @@ def flux_and_derivatives(
     Returns:
         q = -h τ (eq. 14 with the sign +) [N/(mm s)], dq/dτ and dq/dp.
     """
-    s, t = variable(p), variable(τ)
-    q = -diff(conduction_potential(t, conductance(s, open_, per_pressure, cap)), t)
+    pressure, jump = variable(p), variable(τ)
+    h = conductance(pressure, open_, per_pressure, cap)
+    q = -diff(conduction_potential(jump, h), jump)
     # The labels of variables differ between runs. Without them compiled forms are reused.
-    parts = [strip_variables(expand_derivatives(e)) for e in (q, diff(q, t), diff(q, s))]
-    return parts[0], parts[1], parts[2]
+    flux, by_jump, by_pressure = (
+        strip_variables(expand_derivatives(e)) for e in (q, diff(q, jump), diff(q, pressure))
+    )
+    return flux, by_jump, by_pressure
 
 
 def friction_heat(D: Scalar, share: Scalar) -> tuple[Scalar, Scalar]:

@@ -1,7 +1,7 @@
 r"""Potentials of loads and supports (paper eq. 51, last two terms).
 
-Each function returns an integrand of the external potential: the work of the load in a displacement
-v, per area or volume.
+Each function returns an integrand of the external potential, per area or per volume: the work of a
+load along a displacement v, or the energy of an elastic support.
 Symbols: v displacement (3,) [mm], x position (3,) [mm], n outward normal (3,).
 """
 
@@ -21,9 +21,9 @@ def traction_work(t: Expr, v: Expr) -> Expr:
 def linear_traction_work(t: Expr, ω: Expr, x: Expr, centroid: Scalar, v: Expr) -> Expr:
     r"""Work of the traction :math:`t + ω × (x - x_c)` per area.
 
-    x_c is the centroid of the patch. The first part carries only the resultant force, the second
-    only the moment about the centroid. The resultant force thus gives t, and the resultant moment
-    gives ω by the 3 x 3 matrix of second moments of the patch.
+    x_c is the centroid of the patch. The first term has only a resultant force, the second only a
+    moment about the centroid. The resultant force thus determines t, and the resultant moment
+    determines ω by the 3 x 3 matrix of second moments of the patch.
 
     Args:
         t: Mean traction (3,) [MPa].
@@ -56,5 +56,5 @@ def foundation_energy(k: Expr, v: Expr) -> Expr:
 
 
 def mechanical_work(σ: Expr, ε: Expr) -> Expr:
-    """Work of a stress in a strain per volume: σ : ε [MPa]."""
+    """Work of a stress along a strain per volume: σ : ε [MPa]."""
     return inner(σ, ε)

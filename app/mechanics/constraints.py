@@ -45,7 +45,7 @@ def _support_of_dofs(body_forms: BodyForms, stage: int, frames: Frames | None) -
     support = np.full((index_map.size_local + index_map.num_ghosts, 3), -1, dtype=np.int64)
     rows, frame_rows = frames.owned(index_map) if frames else (np.zeros(0, dtype=np.int64),) * 2
     support_of_frames = support[rows]
-    active_supports = [s for s, term in enumerate(scene.supports) if scene.holds(term, stage)]
+    active_supports = [s for s, term in enumerate(scene.supports) if scene.is_active(term, stage)]
     tags = cell_tags(tagged)
     patches = [boundary_facets(tagged, s.boundary) for s in scene.supports]
     rigid = {r.region for r in scene.rigid}

@@ -82,7 +82,7 @@ class Stiffness:
         forms, scene = self._body_forms, self._body_forms.scene
         stages: dict[tuple[bool, ...], int] = {}
         for k in range(len(scene.stages)):
-            stages.setdefault(tuple(scene.holds(s, k) for s in scene.supports), k)
+            stages.setdefault(tuple(scene.is_active(s, k) for s in scene.supports), k)
         return [Constraints(forms, k, self.frames, self.followers) for k in stages.values()]
 
     def _assemble_constrained(self, paired: bool = False) -> PETSc.Mat:
@@ -120,7 +120,9 @@ class Stiffness:
         """
         stage_before, self.stage = self.stage, stage
         scene = self._body_forms.scene
-        if all(scene.holds(s, stage_before) == scene.holds(s, stage) for s in scene.supports):
+        if all(
+            scene.is_active(s, stage_before) == scene.is_active(s, stage) for s in scene.supports
+        ):
             return False
         old_constraints = self.constraints
         self.constraints = Constraints(self._body_forms, stage, self.frames, self.followers)
@@ -165,7 +167,7 @@ def support_resistance(
     conditions = [
         (s.boundary, np.diag(s.components).astype(float), k)
         for k, s in enumerate(scene.supports)
-        if scene.holds(s, stiffness.stage)
+        if scene.is_active(s, stiffness.stage)
     ]
     conditions += [
         (f.boundary, np.diag(np.sign(f.stiffness)).astype(float), -1) for f in scene.foundations

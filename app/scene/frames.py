@@ -255,7 +255,7 @@ def _groups(scene: Scene, acts: Bools) -> list[tuple[int, ...]]:
     for acts_on_body in acts:
         support_rows = [int(row) for row in np.flatnonzero(acts_on_body)]
         for stage in range(len(scene.stages)):
-            active = (row for row in support_rows if scene.holds(scene.supports[row], stage))
+            active = (row for row in support_rows if scene.is_active(scene.supports[row], stage))
             groups.add(tuple(active))
     return sorted(groups - {()})
 

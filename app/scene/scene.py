@@ -1,8 +1,8 @@
 """A scene: bodies, interfaces, supports, loads, heat and stages to be solved.
 
-`scene_of` makes a scene of laws by name. It is the only place that chooses the equations.
-`build_scene` takes the laws from a case. A scene does not know the mesh or the solver. Absent parts
-are empty tuples.
+`scene_of` makes a scene from laws by name. It is the only function that chooses the equations.
+`build_scene` takes the laws from a case. A scene does not know the mesh or the solver. Parts that a
+scene does not have are empty tuples.
 """
 
 from __future__ import annotations
@@ -40,8 +40,7 @@ from app.numerics.rigid_motions import rotation_vector
 if TYPE_CHECKING:  # a scene made in Python needs no cases
     from app.case.case import Case
 
-# No laws of a kind.
-NONE: Mapping[str, Any] = MappingProxyType({})
+NO_LAWS: Mapping[str, Any] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -53,15 +52,15 @@ class Interface:
         slave: Regions on the softer side, which carries the jumps.
         modulus: Modulus of the softer side, infinite if it is rigid [MPa].
         gap: Initial gap as function of points (n, 3) -> (n,) [mm], negative where bodies interfere.
-        gap_history: Amplitudes of the gap at the ends of the stages, or empty
+        gap_history: Multipliers of the gap at the ends of the stages, or empty
             (`laws.values.gap_at`).
         swapped: True if the master is the second side as declared.
         slave_share: Fraction of the friction heat that enters the slave side.
         constants: Constants of the law by name, as functions of points (n, 3) -> (n,).
-        between: Boundaries of master and slave with finite sliding, meshed apart; else None.
+        between: Boundaries of master and slave with finite sliding, whose bodies are meshed
+            separately; else None.
         press_fit: True if micromotion is reported: the jump since the gap last changed.
-        zones: Parts of the surface with separate numbers: by name, a function of points (n, 3)
-            that is not positive there (n,).
+        zones: Level functions of the zones, by name: points (n, 3) -> (n,), not positive inside.
     """
 
     name: str
@@ -81,7 +80,7 @@ class Interface:
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything that is solved, and nothing else.
+    """All laws that a run solves, with their regions and boundaries.
 
     Attributes:
         order: Polynomial order of the displacement.
@@ -95,9 +94,9 @@ class Scene:
         time: Time stepping of heat; None without heat.
         coupled: True if heat depends on contact, so that both are solved together.
         motions: Prescribed motions of regions.
-        period: Time that a cycle of the cycle tables takes, 0 without [s].
-        loads_of: Number of the stage whose final loads act, by the number of a stage that another
-            package solves.
+        period: Duration of a cycle of the cycle tables, 0 without cycle tables [s].
+        loads_of: For each stage that another package solves, the stage whose final loads act;
+            indices of stages.
     """
 
     order: int
@@ -134,93 +133,104 @@ class Scene:
         """True if the stiffness changes from solve to solve."""
         return bool(self.cures) or any(e._density for e in self.elastic)
 
-    def holds(self, support: Support, stage: int) -> bool:
+    def is_active(self, support: Support, stage: int) -> bool:
         """Return True if a support is active in a stage."""
         return support.stages is None or self.stages[stage].name in support.stages
 
     @property
     def loaded_boundaries(self) -> set[str]:
         """Boundaries on which loads or elastic foundations act."""
-        of_loads = {name for load in self.loads for name in load.boundaries}
-        return of_loads | {f.boundary for f in self.foundations}
+        boundaries = {foundation.boundary for foundation in self.foundations}
+        return boundaries.union(*(load.boundaries for load in self.loads))
 
     def load_time(self, time: float) -> float:
         """Time on the load histories that corresponds to a time of the run (cycles removed).
 
-        Loads of a stage that another package steps through stay as they were (`loads_of`).
+        Loads are constant in a stage that another package solves (`loads_of`).
         """
-        k = max(math.ceil(time) - 1, 0)
-        if k in self.loads_of:
-            return float(self.loads_of[k] + 1)
-        return k + self.stages[k].reached(time - k)
+        stage = max(math.ceil(time) - 1, 0)
+        if stage in self.loads_of:
+            return float(self.loads_of[stage] + 1)
+        return stage + self.stages[stage].reached(time - stage)
 
     def force_sizes(self, times: Floats) -> dict[str, Floats]:
         """Size of each force at times (n,) [N], by the name of its load.
 
-        A load with a cycle table or a motion has three parts, one along each axis.
+        A force with a cycle table or a motion is three loads of one name, one along each axis.
         """
         forces: dict[str, Floats] = {}
-        at = [self.load_time(float(time)) for time in times]
+        load_times = [self.load_time(float(time)) for time in times]
         for load in self.loads:
             if load.resultant is not None:
-                factors = [load.amplitude(time) for time in at]
-                part = np.outer(factors, load.resultant)
-                forces[load.name] = forces.get(load.name, 0.0) + part
+                factors = [load.amplitude(load_time) for load_time in load_times]
+                force = np.outer(factors, load.resultant)
+                forces[load.name] = forces.get(load.name, 0.0) + force
         return {name: np.linalg.norm(force, axis=1) for name, force in forces.items()}
 
     @property
     def driven(self) -> tuple[Motion, ...]:
         """Motions that drive a boundary of an elastic region."""
-        return tuple(m for m in self.motions if m.boundary)
+        return tuple(motion for motion in self.motions if motion.boundary)
 
     def motion_of(self, regions: Sequence[str]) -> Motion | None:
-        """The motion of some of the regions, if there is one."""
-        return next((m for m in self.motions if m.region in regions), None)
+        """First motion of any of the regions, or None."""
+        return next((motion for motion in self.motions if motion.region in regions), None)
 
     def rotation(self, motion: Motion | None, time: float) -> Floats:
-        """Rotation of a motion at a time (3, 3); without a motion none."""
-        return np.eye(3) if motion is None else motion.rotation_at(*cycle_phase(self.stages, time))
+        """Rotation of a motion at a time (3, 3); the identity without a motion."""
+        if motion is None:
+            return np.eye(3)
+        phase, ramp = cycle_phase(self.stages, time)
+        return motion.rotation_at(phase, ramp)
 
-    def rotation_substeps(self, k: int, part: float) -> int:
-        """Sub-steps per increment of stage k that keep every rotation below `largest_step`."""
-        times = [k + i * part for i in range(round(1 / part) + 1)]
-        most = 1
-        for m in self.motions:
-            R = [self.rotation(m, t) for t in times]
-            angles = (float(np.linalg.norm(rotation_vector(b @ a.T))) for a, b in pairwise(R))
-            most = max(most, math.ceil(max(angles) / m.largest_step - 1e-9))
-        return most
+    def rotation_substeps(self, stage: int, increment: float) -> int:
+        """Sub-steps per increment of a stage that keep every rotation below `largest_step`.
+
+        ``increment`` is the length of an increment, as a fraction of the stage.
+        """
+        times = [stage + i * increment for i in range(round(1 / increment) + 1)]
+        substeps = 1
+        for motion in self.motions:
+            rotations = [self.rotation(motion, time) for time in times]
+            largest_angle = max(
+                float(np.linalg.norm(rotation_vector(R_end @ R_start.T)))
+                for R_start, R_end in pairwise(rotations)
+            )
+            substeps = max(substeps, math.ceil(largest_angle / motion.largest_step - 1e-9))
+        return substeps
 
     def last_reversal(self, time: float) -> float:
         """The last time before a time at which loads reverse or a stage begins."""
-        k = max(math.ceil(time) - 1, 0)
-        segments = self.stages[k].load_segments
-        return k + (math.ceil((time - k) * segments - 1e-9) - 1) / segments
+        stage = max(math.ceil(time) - 1, 0)
+        segments = self.stages[stage].load_segments
+        return stage + (math.ceil((time - stage) * segments - 1e-9) - 1) / segments
 
 
 Exchanging = Callable[["Case"], Iterable[str]]
-# Functions of other packages that give interfaces whose heat exchange they set.
+# Functions of other packages. They return the interfaces whose heat exchange the package sets.
 _EXCHANGING: list[Exchanging] = []
 
 
 def mean_exchange(function: Exchanging) -> Exchanging:
-    """Register a function of a case: its interfaces with finite sliding whose exchange is set.
+    """Register a function that returns the interfaces of a case whose heat exchange is set.
 
-    Their sides share no nodes. `heat.implicit_step.ImplicitStep.set_exchange` sets their exchange.
+    These interfaces have finite sliding: their sides share no nodes. The package of the function
+    sets the exchange by `heat.implicit_step.ImplicitStep.set_exchange`.
     """
     _EXCHANGING.append(function)
     return function
 
 
 Densities = Callable[["Case"], Mapping[str, ChangingDensity]]
-# Functions of other packages that give regions whose density changes.
+# Functions of other packages. They return the regions whose density changes.
 _DENSITIES: list[Densities] = []
 
 
 def by_density(function: Densities) -> Densities:
-    """Register a function of a case: its regions whose stiffness follows a density that changes.
+    """Register a function that returns the regions of a case whose stiffness follows a density.
 
-    `mechanics.body_forms.BodyForms.density` is that density, `Problem.follow_density` follows it.
+    `mechanics.body_forms.BodyForms.density` is the density. After it changes,
+    `Problem.follow_density` updates the stiffness.
     """
     _DENSITIES.append(function)
     return function
@@ -231,31 +241,33 @@ def scene_of(
     stages: Sequence[Stage],
     *,
     order: int = 2,
-    interfaces: Mapping[str, InterfaceLaw] = NONE,
-    sides: Mapping[str, tuple[Sequence[str], Sequence[str]]] = NONE,
-    faces: Mapping[str, tuple[str, str]] = NONE,
-    supports: Mapping[str, Support | Foundation] = NONE,
-    loads: Mapping[str, Load] = NONE,
-    motions: Mapping[str, Motion] = NONE,
-    heat: Mapping[str, HeatCondition] = NONE,
+    interfaces: Mapping[str, InterfaceLaw] = NO_LAWS,
+    sides: Mapping[str, tuple[Sequence[str], Sequence[str]]] = NO_LAWS,
+    faces: Mapping[str, tuple[str, str]] = NO_LAWS,
+    supports: Mapping[str, Support | Foundation] = NO_LAWS,
+    loads: Mapping[str, Load] = NO_LAWS,
+    motions: Mapping[str, Motion] = NO_LAWS,
+    heat: Mapping[str, HeatCondition] = NO_LAWS,
     time: TimeOptions | None = None,
     stem: StemPlaces | None = None,
 ) -> Scene:
-    """Build a scene from laws; regions, boundaries and interfaces go by the names of the mesh.
+    """Build a scene from laws.
+
+    The names of regions, boundaries and interfaces are those of the mesh.
 
     Args:
         regions: Material of each region.
-        stages: The loading history.
+        stages: The stages in their order.
         order: Polynomial order of the displacement, 1 or 2.
         interfaces: Law of each interface. Regions that touch without an interface are bonded.
         sides: Regions on the two sides of each interface.
-        faces: Boundaries of both sides of finite sliding, if the law names none.
+        faces: Boundaries of both sides of interfaces with finite sliding, unless the law has them.
         supports: Supports by name.
         loads: Loads by name.
         motions: Motions by name.
         heat: Heat conditions by name.
-        time: Time stepping of heat; that of `TimeOptions` by default.
-        stem: Heights on a stem, for interferences and zones along it; by default z.
+        time: Time stepping of heat; `TimeOptions()` by default.
+        stem: Heights on a stem, for interferences and zones along the stem; z by default.
 
     Raises:
         InputError: The sides of an interface are unknown.
@@ -265,40 +277,47 @@ def scene_of(
         raise InputError(f"interfaces.{unknown[0]}: expected the regions on its two sides")
     tables = _cycle_tables(motions, loads)
     stages = _with_cycle_tables(stages, tables)
-    elastic = tuple(r.named(n) for n, r in regions.items() if r.deforms)
+    elastic = tuple(region.named(name) for name, region in regions.items() if region.deforms)
+    rigid = tuple(region.named(name) for name, region in regions.items() if region.moves_rigidly)
     moduli = {e.region: max(e.moduli) for e in elastic}
-    thermal = {n: _thermal(r, n) for n, r in regions.items() if r.thermal is not None}
-    places = [
+    thermal = {
+        name: _thermal(region, name)
+        for name, region in regions.items()
+        if region.thermal is not None
+    }
+    all_interfaces = [
         _interface(name, law, sides[name], faces.get(name), moduli, thermal, stem or NoStem())
         for name, law in interfaces.items()
     ]
-    conducting = tuple(i for i in places if i.law.conductance is not None)
-    rubbing = tuple(i for i in places if i.law.heated_by_friction is not None)
-    jumps = tuple(i for i in conducting if not i.between)
-    times = tables[0].times if tables else (0.0,)
+    conducting = [i for i in all_interfaces if i.law.conductance is not None]
+    thermal_contacts = tuple(i for i in conducting if not i.between)
+    friction_heat = tuple(i for i in all_interfaces if i.law.heated_by_friction is not None)
+    depends_on_friction = any(not i.between for i in friction_heat)
+    depends_on_pressure = any(i.law.conductances[1] > 0 for i in thermal_contacts)
+    split_loads: list[Load] = []
+    for name, load in loads.items():
+        split_loads += _loads(name, load, motions, stages)
+    cycle_times = tables[0].times if tables else (0.0,)
     return Scene(
         order=order,
         elastic=elastic,
-        rigid=tuple(r.named(n) for n, r in regions.items() if r.moves_rigidly),
+        rigid=rigid,
         foundations=tuple(s for s in supports.values() if s.is_spring is True),
         supports=tuple(
             _support(name, s, stages) for name, s in supports.items() if s.is_spring is False
         ),
-        loads=tuple(
-            part for name, load in loads.items() for part in _loads(name, load, motions, stages)
-        ),
+        loads=tuple(split_loads),
         motions=tuple(motion.named(name) for name, motion in motions.items()),
-        contacts=tuple(i for i in places if i.law.can_part),
-        bonds=tuple(i for i in places if not i.law.can_part and math.isfinite(i.modulus)),
+        contacts=tuple(i for i in all_interfaces if i.law.can_part),
+        bonds=tuple(i for i in all_interfaces if not i.law.can_part and math.isfinite(i.modulus)),
         stages=stages,
-        period=times[-1] - times[0],
+        period=cycle_times[-1] - cycle_times[0],
         conductors=tuple(thermal.values()),
         heat=tuple(condition.named(name) for name, condition in heat.items()),
-        thermal_contacts=jumps,
-        friction_heat=rubbing,
+        thermal_contacts=thermal_contacts,
+        friction_heat=friction_heat,
         sliding_heat=tuple(i for i in conducting if i.between),
-        coupled=any(not i.between for i in rubbing)
-        or any(i.law.conductances[1] > 0 for i in jumps),
+        coupled=depends_on_friction or depends_on_pressure,
         expansions=tuple(t for t in thermal.values() if t.thermal_expansion),
         cures=tuple(t.cure.named(t.region) for t in thermal.values() if t.cure is not None),
         creeps=tuple(
@@ -330,26 +349,29 @@ def build_scene(case: Case) -> Scene:
         time=case.time,
         stem=case.geometry,
     )
-    exchanging = {name for find in _EXCHANGING for name in find(case)}
+    exchanging: set[str] = set().union(*(function(case) for function in _EXCHANGING))
     for interface in scene.sliding_heat:
         if interface.name not in exchanging:
             raise InputError(
                 f"interfaces.{interface.name}.conductance: no package computes the heat between "
                 "sides with finite sliding; expected none"
             )
-    changing = {region: d for find in _DENSITIES for region, d in find(case).items()}
+    changing_densities: dict[str, ChangingDensity] = {}
+    for densities in _DENSITIES:
+        changing_densities.update(densities(case))
     for e in scene.elastic:
         e._geometry = case.geometry
-        e._density = changing.get(e.region)
-    names = [stage.name for stage in case.stages]
+        e._density = changing_densities.get(e.region)
+    stage_names = [stage.name for stage in case.stages]
     loads_of = {
-        k: names.index(stage.other.loads(case))
-        for k, stage in enumerate(case.stages)
+        index: stage_names.index(stage.other.loads(case))
+        for index, stage in enumerate(case.stages)
         if stage.other
     }
-    pressed = case.geometry.press_fits
+    press_fits = case.geometry.press_fits
     contacts = tuple(
-        dataclasses.replace(c, press_fit=True) if c.name in pressed else c for c in scene.contacts
+        dataclasses.replace(c, press_fit=True) if c.name in press_fits else c
+        for c in scene.contacts
     )
     return dataclasses.replace(scene, loads_of=loads_of, contacts=contacts)
 
@@ -360,53 +382,61 @@ def cycle_phase(stages: Sequence[Stage], time: float) -> tuple[float, float]:
     The ramp is over the first stage, to the values at the beginning of the cycle. After the stage
     of the cycles, the values stay constant.
     """
-    last = next((k for k, s in enumerate(stages) if s.repeats), len(stages) - 1)
-    if time <= last:
+    cycle_stage = next((k for k, stage in enumerate(stages) if stage.repeats), len(stages) - 1)
+    if time <= cycle_stage:
         return 0.0, min(time, 1.0)
-    passed = min(time - last, 1.0) * stages[last].cycles
-    return passed - math.ceil(passed - 1e-9) + 1, 1.0
+    cycles = min(time - cycle_stage, 1.0) * stages[cycle_stage].cycles
+    # The end of a cycle has phase 1.
+    return cycles - math.ceil(cycles - 1e-9) + 1, 1.0
 
 
 def _cycle_tables(motions: Mapping[str, Motion], loads: Mapping[str, Load]) -> list[CycleTable]:
-    parts: list[Motion | Load] = [*motions.values(), *loads.values()]
-    return [part.cycle for part in parts if part.cycle is not None]
+    motions_and_loads: list[Motion | Load] = [*motions.values(), *loads.values()]
+    return [law.cycle for law in motions_and_loads if law.cycle is not None]
 
 
 def _with_cycle_tables(stages: Sequence[Stage], tables: Sequence[CycleTable]) -> tuple[Stage, ...]:
-    """The stages; cycle tables run through the last one that takes no time."""
+    """The stages. Cycle tables repeat in the last stage without a duration."""
     if not tables:
         return tuple(stages)
-    k = max(i for i, stage in enumerate(stages) if not stage.takes_time)
-    return (*stages[:k], stages[k].repeating(), *stages[k + 1 :])
+    repeating = max(k for k, stage in enumerate(stages) if not stage.takes_time)
+    return (*stages[:repeating], stages[repeating].repeating(), *stages[repeating + 1 :])
 
 
 def _loads(
     name: str, load: Load, motions: Mapping[str, Motion], stages: Sequence[Stage]
 ) -> tuple[Load, ...]:
-    """A load; of a force with a cycle table or a motion its three components."""
-    force = load.moving_force([m.boundary for m in motions.values()])
+    """A load; for a force with a cycle table or a motion, its three components."""
+    force = load.moving_force([motion.boundary for motion in motions.values()])
     if force is None:
         return (load.named(name),)
-    motion = motions[force.follows] if force.follows else None
-    # Nodes of an elastic region that rotates have axes that rotate with it.
-    local = next((m for m in motions.values() if m.boundary == force.boundary), None)
+    followed_motion = motions[force.follows] if force.follows else None
+    # Nodes of an elastic region that rotates have axes that rotate with the region.
+    axes_motion = next((m for m in motions.values() if m.boundary == force.boundary), None)
 
-    def component(k: int, time: float) -> float:
-        s, part = cycle_phase(stages, time)
-        F = force.force_at(s)
-        factor = part if force.cycle_table else amplitude(force.history, time)
-        in_space = factor * (motion.rotation_at(s, part) @ F if motion else np.array(F))
-        return float((local.rotation_at(s, part).T @ in_space if local else in_space)[k])
+    def component(axis: int, time: float) -> float:
+        """Component of the force along an axis of the nodes at a time [N]."""
+        phase, ramp = cycle_phase(stages, time)
+        vector = np.array(force.force_at(phase))
+        if followed_motion:
+            vector = followed_motion.rotation_at(phase, ramp) @ vector
+        vector = (ramp if force.cycle_table else amplitude(force.history, time)) * vector
+        if axes_motion:
+            vector = axes_motion.rotation_at(phase, ramp).T @ vector
+        return float(vector[axis])
 
-    parts = []
-    for k, axis in enumerate(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))):
-        part = force.named(name, force=axis, cycle_table=None, follows=None, history=None)
-        part._value = partial(component, k)
-        parts.append(part)
-    return tuple(parts)
+    components = []
+    for axis, direction in enumerate(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))):
+        unit_force = force.named(
+            name, force=direction, cycle_table=None, follows=None, history=None
+        )
+        unit_force._value = partial(component, axis)
+        components.append(unit_force)
+    return tuple(components)
 
 
 def _thermal(region: Material, name: str) -> Thermal:
+    """Thermal law of a region, with a fibre if there is no single conductivity."""
     thermal = region.thermal
     assert thermal is not None
     fibre = None
@@ -416,9 +446,10 @@ def _thermal(region: Material, name: str) -> Thermal:
 
 
 def _support(name: str, support: Support, stages: Sequence[Stage]) -> Support:
-    names = {stage.name for stage in stages}
-    always = support.stages is None or names <= set(support.stages)
-    changes: dict[str, Any] = {"stages": None} if always else {}
+    """Support with its name and load history; `stages` is None if it is active in all stages."""
+    stage_names = {stage.name for stage in stages}
+    is_always_active = support.stages is None or stage_names <= set(support.stages)
+    changes: dict[str, Any] = {"stages": None} if is_always_active else {}
     if "history" in type(support).model_fields:
         changes["history"] = support.history or (1.0,) * len(stages)
     return support.named(name, **changes)
@@ -438,12 +469,16 @@ def _interface(
     swapped = _stiffness(first, moduli) < _stiffness(second, moduli)
     master, slave = (second, first) if swapped else (first, second)
     faces = faces or law.sliding_boundaries
-    share = law.heated_by_friction
-    if isinstance(share, str):
-        e_m, e_s = (sum(thermal[r].effusivity for r in s) / len(s) for s in (master, slave))
-        slave_share = e_s / (e_s + e_m)
+    # Fraction of the friction heat that enters the first side, or a word: by effusivity.
+    first_share = law.heated_by_friction
+    if first_share is None:
+        slave_share = 0.0
+    elif isinstance(first_share, str):
+        master_effusivity = sum(thermal[region].effusivity for region in master) / len(master)
+        slave_effusivity = sum(thermal[region].effusivity for region in slave) / len(slave)
+        slave_share = slave_effusivity / (slave_effusivity + master_effusivity)
     else:
-        slave_share = 0.0 if share is None else share if swapped else 1.0 - share
+        slave_share = first_share if swapped else 1.0 - first_share
     return Interface(
         name,
         master,
@@ -457,13 +492,19 @@ def _interface(
         constants=law.constants_at_points(name, stem),
         between=(faces[::-1] if swapped else faces) if faces else None,
         press_fit=law.is_press_fit,
-        zones={zone: partial(_beyond, ends, stem) for zone, ends in law.zone_heights.items()},
+        zones={
+            zone: partial(_height_outside, ends, stem) for zone, ends in law.zone_heights.items()
+        },
     )
 
 
-def _beyond(ends: tuple[float, float], stem: StemPlaces, x: Floats) -> Floats:
-    """Distance of points (n, 3) along a stem beyond the nearer end of a zone (n,) [mm]."""
-    height, (low, high) = stem.height_on_stem(x), ends
+def _height_outside(ends: tuple[float, float], stem: StemPlaces, x: Floats) -> Floats:
+    """Height of points (n, 3) beyond the nearer end of a zone of a stem, negative inside (n,) [mm].
+
+    ``ends`` are the lower and the upper height of the zone.
+    """
+    low, high = ends
+    height = stem.height_on_stem(x)
     return np.maximum(low - height, height - high)
 
 

@@ -201,7 +201,7 @@ class _Deck:
         """
         prescribed: dict[tuple[int, int], float] = {}
         for s in self.scene.supports:
-            if not self.scene.holds(s, stage):
+            if not self.scene.is_active(s, stage):
                 continue
             f = boundary_facets(self.tagged, s.boundary)
             dofs = facet_nodes(self.tagged, self.space, f)[1]

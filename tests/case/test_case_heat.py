@@ -176,7 +176,7 @@ def test_case_heat_stages_time_and_supports() -> None:
     scene = build("time={method: backward_euler, first_step: 1 ms}")
     assert [(s.seconds, s.steady) for s in scene.stages] == [(3600, False), (0, False)]
     assert scene.time is not None and scene.time.first_step == 1e-3
-    assert [[scene.holds(s, k) for k in (0, 1)] for s in scene.supports] == [
+    assert [[scene.is_active(s, k) for k in (0, 1)] for s in scene.supports] == [
         [True, True],
         [True, False],
     ]
@@ -238,7 +238,7 @@ def test_case_heat_cure_cases_have_equal_materials() -> None:
         assert scene.cures[0].heat / cement.capacity == pytest.approx(89.0805, abs=1e-4)
         assert scene.cures[0].kinetics == cure.cures[0].kinetics
     assert cure.elastic == ()
-    assert [residual.holds(residual.supports[1], k) for k in range(3)] == [True, True, False]
+    assert [residual.is_active(residual.supports[1], k) for k in range(3)] == [True, True, False]
 
 
 def test_case_heat_residual_ends_in_the_stance() -> None:
