@@ -217,7 +217,8 @@ def contact_law(
         friction_square = _square_in_disc(state, frozen_states[k].radius)
         return inner(normal_part, normal_part) + friction_square
 
-    energy = (_choose(states, carried_square) - inner(f, f)) / (2 * r)
+    square = _choose(states, carried_square)
+    energy = (square - inner(f, f)) / (2 * r)
 
     force = replace(derivative(energy, d), {S_star: S})
     by_multiplier = derivative(force, f)

@@ -68,9 +68,9 @@ forms/interface_heat.py
     eq68_no_net_heat_of_friction: (1 - share) * D, share * D -> -share * D, share * D
 app/scene/scene.py
   rubbing_split
-    share_of_the_other_side: e_s / (e_s + e_m) -> e_m / (e_s + e_m)
+    share_of_the_other_side: = slave_effusivity / ( -> = master_effusivity / (
   rubbing_given
-    given_share_swapped: share if swapped else 1.0 - share -> 1.0 - share if swapped else share
+    given_share_swapped: first_share if swapped else -> first_share if not swapped else
 forms/heat.py
   heat_slab
     fourier_factor: return k / 2 * inner(g, g) -> return k * inner(g, g)
