@@ -5,8 +5,8 @@ With A_b = M_b/h + K_b + R_b of each body, the blocks are
 .. math:: \sum_b A_b, \qquad C = \sum_b A_b B_b, \qquad C^T,
           \qquad \sum_b B_b^T A_b B_b - W \, ∂q/∂τ.
 
-Rows and columns of given temperatures and jumps are zero but for their diagonal. To the first block
-comes the exchange of surfaces with finite sliding, without its part by jumps of nodes.
+Rows and columns of prescribed temperatures and jumps are zero except for their diagonal. The first
+block also has the exchange of surfaces with finite sliding, without its part by jumps of nodes.
 """
 
 from __future__ import annotations
@@ -41,20 +41,21 @@ class HeatMatrices:
     Args:
         K: Conduction matrix of each body, with its whole diagonal in the pattern.
         jumps: The jumps, if there are any.
-        prescribed: Owned nodes whose continuous temperature is given.
+        is_prescribed: Mask of owned nodes whose continuous temperature is prescribed.
     """
 
     def __init__(
-        self, K: Sequence[PETSc.Mat], jumps: TemperatureJumps | None, prescribed: Bools
+        self, K: Sequence[PETSc.Mat], jumps: TemperatureJumps | None, is_prescribed: Bools
     ) -> None:
         self.version = 0
-        self._jumps, self._held = jumps, prescribed
+        self._jumps = jumps
+        self._is_prescribed = is_prescribed
         self._by_body = [k.copy() for k in K]
         self._exchange: PETSc.Mat | None = None
         self._A = matrix_sum(self._by_body)
         self._keep_pattern()
         start = self._A.getOwnershipRange()[0]
-        self._rows = (start + np.flatnonzero(prescribed)).astype(PETSc.IntType)
+        self._prescribed_rows = (start + np.flatnonzero(is_prescribed)).astype(PETSc.IntType)
         self._diagonal = self._A.createVecLeft()
         self.matrix = [[self._A]]
         if jumps is not None:
@@ -111,7 +112,7 @@ class HeatMatrices:
             self._A.axpy(1.0, self._exchange, structure=SUBSET_PATTERN)
         self._A.getDiagonal(self._diagonal)
         self._mean_diagonal = float(self._diagonal.sum()) / self._diagonal.getSize()
-        self._A.zeroRowsColumns(self._rows, diag=self._mean_diagonal)
+        self._A.zeroRowsColumns(self._prescribed_rows, diag=self._mean_diagonal)
         self._A.getDiagonal(self._diagonal)
 
     def set(self, by_jump: Floats | None, heat_by_temperature: Mapping[int, Floats]) -> None:
@@ -125,7 +126,7 @@ class HeatMatrices:
         if heat_by_temperature:
             diagonal_of_temperature = self._diagonal.copy()
             diagonal_of_temperature.array[:] -= np.where(
-                self._held, 0.0, sum(heat_by_temperature.values())
+                self._is_prescribed, 0.0, sum(heat_by_temperature.values())
             )
             self._A.setDiagonal(diagonal_of_temperature)
         jumps = self._jumps
@@ -142,8 +143,8 @@ class HeatMatrices:
                 C.axpy(-1.0, scaled, structure=SUBSET_PATTERN)
                 D.axpy(-1.0, jumps.moves[b].transposeMatMult(scaled), structure=SUBSET_PATTERN)
         is_free = self.vectors()
-        for vector, prescribed in zip(is_free, (self._held, jumps.prescribed), strict=True):
-            vector.array[:] = ~prescribed
+        is_free[0].array[:] = ~self._is_prescribed
+        is_free[1].array[:] = ~jumps.prescribed
         diagonal = D.getDiagonal()
         diagonal.array[:] += by_jump
         D.setDiagonal(diagonal)

@@ -74,7 +74,7 @@ class MaximumPrinciple:
         return np.inf if self.heated else self.data_high
 
     def include_data(self, given: Floats, heats: Floats) -> None:
-        """Include given temperatures [K] and heat into owned nodes [N mm/s]; collective."""
+        """Include prescribed temperatures [K] and heat into owned nodes [N mm/s]; collective."""
         extremes = [-given.min(initial=np.inf), given.max(initial=-np.inf)]
         extremes += [-heats.min(initial=0.0), heats.max(initial=0.0)]
         global_extremes = np.array(extremes)
