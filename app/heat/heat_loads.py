@@ -142,7 +142,10 @@ class FixedTemperatures:
         self.base_condition: Ints = self.condition_of_body[base, self._nodes]
 
     def join(self, jumps: TemperatureJumps) -> None:
-        """Prescribe the temperature of bodies that a prescribed jump joins to a prescribed body."""
+        """Extend the conditions to bodies whose temperature follows from a prescribed jump.
+
+        Such a jump is relative to a body of prescribed temperature.
+        """
         for p in np.flatnonzero(jumps.prescribed):
             node = jumps.dof[p]
             for b, condition in zip(jumps.bodies[p], jumps.prescribing_condition[p], strict=True):

@@ -175,8 +175,8 @@ def frames_of(
     along = np.zeros((len(node), len(supports), 3), dtype=bool)
     # Nodes on the same supports are treated together.
     patterns, pattern_of_node = np.unique(acts.reshape(len(node), -1), axis=0, return_inverse=True)
-    for number, pattern in enumerate(patterns.reshape(-1, *acts.shape[1:])):
-        rows = np.flatnonzero(pattern_of_node.ravel() == number)
+    for pattern_number, pattern in enumerate(patterns.reshape(-1, *acts.shape[1:])):
+        rows = np.flatnonzero(pattern_of_node.ravel() == pattern_number)
         groups = _groups(scene, pattern)
         axes[rows], along[rows] = _axes(supports, groups, support_projectors[rows], positions[rows])
     return Frames(node, axes, acts, along)
