@@ -81,7 +81,7 @@ def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
         with stack_needed():
             from app.soundness import well_posedness
         with case.file.placing():
-            notes += well_posedness.judge(case.config, well_posedness.look(case.config, data))
+            notes += well_posedness.judge(case.config, well_posedness.mesh_parts(case.config, data))
         size = cost.exact_size(case.config, data, memory.available())
         room = case.config.geometry.room_details()
         size += f"\n  room around the stem: {room}" if room else ""

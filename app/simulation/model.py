@@ -187,7 +187,7 @@ class Model:
                 return model.tagged, model.mesh_hash, model.parts
         cache = folders.cache("meshes")
         data = on_root(comm, lambda: meshes.build(case.geometry, case.mesh, cache), share=False)
-        parts = well_posedness.look(case, data) if data is not None else None
+        parts = well_posedness.mesh_parts(case, data) if data is not None else None
         digest = comm.bcast(_mesh_hash(data) if data is not None else "")
         tagged = distribute(data, comm)
         lifetime.register(tagged.mesh)

@@ -92,6 +92,16 @@ def gaps_of(case: Case, parts: Parts) -> dict[str, Floats]:
     }
 
 
+def floating_bodies(case: Case, parts: Parts) -> list[Verdict]:
+    """Errors on bodies that nothing holds."""
+    return BodiesOnMesh(case, parts).unheld()
+
+
+def loosely_held_bodies(case: Case, parts: Parts) -> list[Verdict]:
+    """Notes on bodies that contact barely holds."""
+    return BodiesOnMesh(case, parts).loosely_held()
+
+
 class BodiesOnMesh:
     """Rigid motions of groups of pieces that supports leave, and their resistance by contact."""
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from app.case.case import Case
@@ -14,31 +16,30 @@ from app.scene.scene import build_scene
 from meshes.data import MeshData
 from meshes.geometry import is_hip
 from meshes.paths import PathPoints
+from meshes.pieces import Parts
 
 
-def judged(case: Case, data: MeshData) -> tuple[list[Verdict], list[Verdict]]:
-    """Return errors and notes on the paths of a case."""
-    errors: list[Verdict] = []
-    notes: list[Verdict] = []
+def misplaced_paths(case: Case, parts: Parts) -> Iterator[Verdict]:
+    """Errors on paths without a point in their bodies or without a field, notes on the others."""
     if not case.output.paths:
-        return errors, notes
+        return
+    data = parts.data
     scene = build_scene(case)
     for name, path in case.output.paths.items():
         key = f"output.paths.{name}"
         try:
             columns(case, scene, name)
         except InputError as error:
-            errors += error.verdicts
+            yield from error.verdicts
         contradiction = _contradiction(case, path)
         if contradiction:
-            errors.append(Verdict(contradiction, key))
+            yield Verdict(contradiction, key)
             continue
         points = path_points(case, scene, data, path)
         if not (points.cell >= 0).any():
-            errors.append(_outside(case, data, path, key))
+            yield _outside(case, data, path, key)
         elif points.outside:
-            notes.append(_partly_outside(path, points, key))
-    return errors, notes
+            yield _partly_outside(path, points, key)
 
 
 def _contradiction(case: Case, path: AnyPath) -> str:
@@ -107,8 +108,6 @@ def _partly_outside(path: AnyPath, points: PathPoints, key: str) -> Verdict:
     region_text = f"region '{region}'" if region else "every body"
     message = (
         f"{is_outside.sum()} of its {len(is_outside)} points are outside {region_text}"
-        f" ({stretch_list} along it); "
-        "their "
-        "fields stay empty"
+        f" ({stretch_list} along it); their fields stay empty"
     )
     return note(message, key)

@@ -1,12 +1,14 @@
 """Well-posedness of a case on its mesh, and doubtful sizes.
 
-Errors are raised before anything is solved. Doubts are notes. Both are verdicts.
+Each check is a function that returns verdicts: errors, which refuse the case before anything is
+solved, and notes. `judge` evaluates the checks of the tables at the end of this module.
 """
 
 from __future__ import annotations
 
 import math
-from itertools import combinations
+from collections.abc import Callable, Iterable, Iterator
+from itertools import chain, combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,18 +19,19 @@ from app.case.geometries import MeshFile
 from app.case.probes import StrainGauge
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
-from app.foundation.verdict import Verdict, note
+from app.foundation.verdict import Severity, Verdict, note
 from app.heat.nodes import outside_text
 from app.scene.scene import build_scene
 from app.soundness import paths_on_mesh
 from app.soundness.bodies_on_mesh import (
-    BodiesOnMesh,
     bodies_of,
     directions,
+    floating_bodies,
     gaps_of,
     holds,
     law_between,
     load_history_of,
+    loosely_held_bodies,
 )
 from app.soundness.doubts import STRAIN, modulus
 from app.system.layout import point_text
@@ -48,29 +51,32 @@ IMPOSSIBLE_INTERFERENCE = 0.25
 # Prescribed displacements beyond this part of the size of the model are not small.
 LARGE_DISPLACEMENT = 0.5
 # A piece is slender if it is thinner than this part of its length.
-SLENDER = 0.2
-# Bars and plates of linear cells of edge l and thickness h are too stiff by this factor times
-# (l / h)^2 (measured with 1 to 5 cells through them: 2.2 to 3.0).
-BENDING = 2.3
-# Relative excess of stiffness above which it is noted.
-TOO_STIFF = 0.1
+SLENDER_PIECE = 0.2
+# Bars and plates of linear cells of edge l and thickness h are too stiff in bending by this factor
+# times (l / h)^2 (measured with 1 to 5 cells through them: 2.2 to 3.0).
+EXCESS_OF_LINEAR_CELLS = 2.3
+# Relative excess of the bending stiffness above which it is noted.
+LARGE_EXCESS = 0.1
 # Remedy for numbers far from any usual one.
 WRONG_UNIT = "is the unit wrong?"
 # An interface is noted if supports hold both sides at more than this part of its points.
 CLAMPED_SHARE = 0.5
 # A piece bends freely if more than this part of its surface is free.
-FREE_SHARE = 0.5
+FREE_SURFACE_SHARE = 0.5
 # Diagonals of anything in a human body or at a bench [mm].
-SIZES = (1.0, 3000.0)
+USUAL_DIAGONALS = (1.0, 3000.0)
 # Two prescribed displacements differ if their difference exceeds this part of the larger one.
 SAME_DISPLACEMENT = 1e-9
 # An eigenvalue of the directions that supports hold at a node is zero below this.
 ZERO_EIGENVALUE = 1e-9
 # An axis this close to a cell, in parts of its size, touches it.
-ON_AXIS = 1e-6
+TOUCHED_BY_AXIS = 1e-6
+
+# Function that returns errors and notes on a case on its mesh.
+Check = Callable[[Case, Parts], Iterable[Verdict]]
 
 
-def look(case: Case, data: MeshData) -> Parts:
+def mesh_parts(case: Case, data: MeshData) -> Parts:
     """Parts of a mesh that `judge` examines."""
     faces = {s.boundary for s in case.supports.values() if s.normal == "face"}
     return parts_of(data, {s.boundary for s in case.supports.values()}, faces, case.faces)
@@ -80,30 +86,18 @@ def judge(case: Case, parts: Parts) -> list[Verdict]:
     """Return notes on a case on its mesh.
 
     Raises:
-        InputError: The case cannot be solved. The error lists all reasons.
+        InputError: The case cannot be solved. The error lists all reasons, then the notes.
     """
-    notes = [note(message) for message in parts.data.notes.get("messages", ())]
-    notes += [*_cracks(case, parts), *_size(case, parts)]
-    errors = [*_on_axis(case, parts), *_sides_apart(case, parts), *_followers(case, parts)]
-    errors += _outside(case, parts)
-    wrong_paths, notes_on_paths = paths_on_mesh.judged(case, parts.data)
-    errors += wrong_paths
-    notes += notes_on_paths
-    if errors:
-        raise InputError([*errors, *notes])
-    if all(region.only_conducts for region in case.regions.values()):
-        return notes
-    bodies = BodiesOnMesh(case, parts)
-    contradiction_errors, contradiction_notes = _contradictions(case, parts)
-    gap_errors, gap_notes = _gaps(case, parts)
-    motion_errors, motion_notes = _motions(case, parts)
-    errors = [*motion_errors, *bodies.unheld(), *contradiction_errors, *gap_errors]
-    if errors:
-        # The reason is often a crack in the mesh.
-        raise InputError([*errors, *notes])
-    notes += [*bodies.loosely_held(), *contradiction_notes, *_clamped(case, parts), *gap_notes]
-    notes += [*_meeting(case, parts), *_large_displacements(case, parts), *_too_stiff(case, parts)]
-    return [*notes, *_strained(case, parts), *motion_notes]
+    only_heat = all(region.only_conducts for region in case.regions.values())
+    verdicts: list[Verdict] = []
+    for checks in (MESH_CHECKS,) if only_heat else (MESH_CHECKS, *MECHANICS_CHECKS):
+        for check in checks:
+            verdicts += check(case, parts)
+        errors = [v for v in verdicts if v.severity is Severity.ERROR]
+        if errors:
+            # Notes are shown, too: the reason is often a crack in the mesh.
+            raise InputError([*errors, *(v for v in verdicts if v not in errors)])
+    return verdicts
 
 
 # Contradictions
@@ -116,32 +110,23 @@ def _prescribed_displacements(case: Case, name: str, x: Floats) -> Floats:
     return np.multiply.outer(load_history_of(case, support.history), support.named(name).values(x))
 
 
-def _contradictions(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
-    """Errors and notes on nodes of a body where two supports prescribe different displacements.
+def _contradictory_supports(case: Case, parts: Parts) -> Iterator[Verdict]:
+    """Nodes of a body where two supports prescribe different displacements.
 
     Two bodies that can part may have different displacements where they touch.
     """
-    errors: list[Verdict] = []
-    notes: list[Verdict] = []
-    for group in bodies_of(case, parts):
-        errors_of_body, notes_of_body = _contradictions_in(case, parts, group)
-        errors += errors_of_body
-        notes += notes_of_body
-    return errors, notes
+    for pieces in bodies_of(case, parts):
+        yield from _contradictory_supports_of(case, parts, pieces)
 
 
-def _contradictions_in(
-    case: Case, parts: Parts, group: list[int]
-) -> tuple[list[Verdict], list[Verdict]]:
-    """Return the errors and notes of `_contradictions` for one body, a group of pieces."""
+def _contradictory_supports_of(case: Case, parts: Parts, pieces: list[int]) -> Iterator[Verdict]:
+    """Contradictory supports of one body of some pieces."""
     nodes_of_support = {}
     for name, support in case.supports.items():
         of_piece = parts.boundaries.get(support.boundary, {})
-        nodes = [of_piece[piece] for piece in group if piece in of_piece]
+        nodes = [of_piece[piece] for piece in pieces if piece in of_piece]
         if support.kind != "foundation" and nodes:
             nodes_of_support[name] = np.unique(np.concatenate(nodes))
-    errors: list[Verdict] = []
-    notes: list[Verdict] = []
     for first_support, second_support in combinations(nodes_of_support, 2):
         a, b = case.supports[first_support], case.supports[second_support]
         x = parts.x[
@@ -161,43 +146,42 @@ def _contradictions_in(
             key = f"supports.{second_support}"
             message = (
                 f"prescribes a different displacement along {axis} than supports.{first_support} "
-                "at "
-                f"{int(differ.sum())} nodes, e.g. at {point_text(x[int(np.argmax(differ))])}"
+                f"at {int(differ.sum())} nodes, e.g. at {point_text(x[int(np.argmax(differ))])}"
             )
             if differ.sum() == min(
                 len(nodes_of_support[first_support]), len(nodes_of_support[second_support])
             ):
-                errors.append(Verdict(message, key, "remove one of the two"))
+                yield Verdict(message, key, "remove one of the two")
             else:
                 message += (
                     f": '{second_support}' is used there, and stresses grow without limit as the "
-                    "mesh is "
+                    "mesh is refined"
                 )
-                notes.append(note(f"{message}refined", key))
-    return errors, notes
+                yield note(message, key)
 
 
-def _motions(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
-    """Errors on supports of rotating regions, notes on loads of regions that are held.
+def _rotations_not_given(case: Case, parts: Parts) -> Iterator[Verdict]:
+    """Rigid regions with finite sliding whose rotation is not prescribed.
 
-    The rotation of a rigid region with finite sliding must be prescribed, too.
     A computed rotation would use the contact points from before the sliding.
     """
-    errors: list[Verdict] = []
-    notes: list[Verdict] = []
     regions_without_free_rotation = {motion.region for motion in case.motions.values()}
     fixed_boundaries = [s.boundary for s in case.supports.values() if s.kind == "fixed"]
     regions_without_free_rotation |= {
         parts.pieces[k].region for name in fixed_boundaries for k in parts.boundaries.get(name, ())
     }
     for name, law in case.interfaces.items():
-        for region in sum(map(tuple, case.geometry.interface_sides[name]), ()):
+        for region in chain(*case.geometry.interface_sides[name]):
             slides_finitely = law.finite_sliding and region not in regions_without_free_rotation
             if slides_finitely and case.regions[region].moves_rigidly:
                 message = f"the rotation of the rigid {region} is not given"
                 suggestion = f"motions: {{NAME: {{region: {region}, about: [0 mm, 0 mm, 0 mm]}}}}"
                 cure = f"expected {suggestion}, or a fixed support"
-                errors.append(Verdict(message, f"interfaces.{name}", cure))
+                yield Verdict(message, f"interfaces.{name}", cure)
+
+
+def _motions_with_supports_or_loads(case: Case, parts: Parts) -> Iterator[Verdict]:
+    """Errors on rotating regions with supports, notes on loads of regions with prescribed motion."""
     for name, motion in case.motions.items():
         pieces_of_region = {
             k for k, piece in enumerate(parts.pieces) if piece.region == motion.region
@@ -216,16 +200,14 @@ def _motions(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
         if supports_of_body and motion.cycle:
             message = f"{motion.region} rotates, but supports hold it ({supports_of_body})"
             cure = "expected `translation: held` instead"
-            errors.append(Verdict(message, f"motions.{name}.region", cure))
+            yield Verdict(message, f"motions.{name}.region", cure)
         if loads and motion.translation == "held":
             message = f"{motion.region} does not move under {loads}: its motion is prescribed"
-            notes.append(note(message, f"motions.{name}.translation"))
-    return errors, notes
+            yield note(message, f"motions.{name}.translation")
 
 
-def _on_axis(case: Case, parts: Parts) -> list[Verdict]:
+def _fibre_axes_in_cells(case: Case, parts: Parts) -> Iterator[Verdict]:
     """Fibre axes that meet cells of their region, where fibres have no direction."""
-    errors = []
     for name, region in case.regions.items():
         owners = {f"regions.{name}": region, f"regions.{name}.thermal": region.thermal}
         for key, owner in owners.items():
@@ -241,56 +223,51 @@ def _on_axis(case: Case, parts: Parts) -> list[Verdict]:
                     "no direction"
                 )
                 cure = "expected an axis outside the region"
-                errors.append(Verdict(message, f"{key}.fibre", cure))
-    return errors
+                yield Verdict(message, f"{key}.fibre", cure)
 
 
-def _sides_apart(case: Case, parts: Parts) -> list[Verdict]:
-    """Interfaces without a facet and without finite sliding, and interfaces with both."""
-    errors = []
+def _sides_that_do_not_fit(case: Case, parts: Parts) -> Iterator[Verdict]:
+    """Interfaces without facets and finite sliding, or with both; sides on wrong surfaces."""
     for name, sides in case.geometry.interface_sides.items():
         shared_facets = len(interface_facets(parts.data, name)[0])
         first_side, second_side = ("/".join(side) for side in sides)
         if shared_facets and name in parts.faces:
             message = (
                 f"{first_side} and {second_side} share {shared_facets} facets, so slip is limited"
-                " to one "
-                "facet"
+                " to one facet"
             )
             cure = "expected bodies meshed apart, or `sliding: small`"
-            errors.append(Verdict(message, f"interfaces.{name}.sliding", cure))
+            yield Verdict(message, f"interfaces.{name}.sliding", cure)
         elif not shared_facets and name not in parts.faces:
             cure = (
                 "expected kind: contact with `sliding: finite` and two boundaries in `between`, if "
                 "the bodies are meshed separately"
             )
             message = f"no facet between {first_side} and {second_side}"
-            errors.append(Verdict(message, f"interfaces.{name}", cure))
+            yield Verdict(message, f"interfaces.{name}", cure)
         for face, side in zip(parts.faces.get(name, ()), sides, strict=False):
             face_regions = sorted({parts.pieces[p].region for p in parts.boundaries.get(face, {})})
             if not face_regions or not {*face_regions} <= {*side}:
                 message = f"{face} is a surface of {' and '.join(face_regions) or 'no region'}"
                 cure = f"expected one of {'/'.join(side)} alone"
-                errors.append(Verdict(message, f"interfaces.{name}.between", cure))
-    return errors
+                yield Verdict(message, f"interfaces.{name}.between", cure)
 
 
-def _outside(case: Case, parts: Parts) -> list[Verdict]:
+def _misplaced_probes(case: Case, parts: Parts) -> Iterator[Verdict]:
     """Probes that are not in their regions, gauges that do not fit their surfaces."""
-    data, errors = parts.data, []
+    data = parts.data
     for name, probe in case.output.probes.items():
         if isinstance(probe, StrainGauge):
-            errors += _misplaced(data, f"output.probes.{name}", probe)
+            yield from _misplaced_gauge(data, f"output.probes.{name}", probe)
             continue
         cells = data.cells
         if probe.region:
             cells = cells[data.cell_tags == data.regions[probe.region]]
         if location.place(data.points, cells, np.array([probe.at])).cell[0] < 0:
-            errors.append(Verdict(outside_text(name, (probe.at, probe.region))))
-    return errors
+            yield Verdict(outside_text(name, (probe.at, probe.region)))
 
 
-def _misplaced(data: MeshData, key: str, gauge: StrainGauge) -> list[Verdict]:
+def _misplaced_gauge(data: MeshData, key: str, gauge: StrainGauge) -> list[Verdict]:
     """Error on a strain gauge that does not fit its surface."""
     x = data.points[boundary_facets(data, gauge.boundary)]
     if not len(x):
@@ -307,7 +284,7 @@ def _misplaced(data: MeshData, key: str, gauge: StrainGauge) -> list[Verdict]:
     return [Verdict(message, f"{key}.at", cure)]
 
 
-def _followers(case: Case, parts: Parts) -> list[Verdict]:
+def _followers_moved_twice(case: Case, parts: Parts) -> Iterator[Verdict]:
     """Nodes of slaves with finite sliding that a support or another interface moves, too."""
 
     def nodes(boundary: str) -> NDArray[np.int64]:
@@ -323,7 +300,6 @@ def _followers(case: Case, parts: Parts) -> list[Verdict]:
     for c in contacts:
         interface_nodes = nodes(c.between[1]) if c.between else parts.on_interface(c.name)
         nodes_by_owner[f"interfaces.{c.name}"] = interface_nodes
-    errors = []
     for contact in contacts:
         name = f"interfaces.{contact.name}"
         for key, interface_nodes in nodes_by_owner.items():
@@ -333,8 +309,7 @@ def _followers(case: Case, parts: Parts) -> list[Verdict]:
                     f"moves {len(shared_nodes)} nodes of {contact.between[1]}, e.g. at "
                     f"{point_text(parts.x[shared_nodes[0]])}, which follow the master of {name}"
                 )
-                errors.append(Verdict(message, key, "expected a boundary without them"))
-    return errors
+                yield Verdict(message, key, "expected a boundary without them")
 
 
 def _meets_axis(x: Floats, axis: Floats, point_on_axis: Floats) -> NDArray[np.bool_]:
@@ -347,13 +322,12 @@ def _meets_axis(x: Floats, axis: Floats, point_on_axis: Floats) -> NDArray[np.bo
     angle = np.sort(np.arctan2(z, y), axis=1)
     angles_between = np.diff(angle, axis=1, append=angle[:, :1] + 2 * np.pi)
     radius = np.hypot(y, z)
-    is_near = radius.min(axis=1) <= ON_AXIS * radius.max(axis=1)
-    return np.asarray(is_near | (angles_between.max(axis=1) <= np.pi + ON_AXIS))
+    is_near = radius.min(axis=1) <= TOUCHED_BY_AXIS * radius.max(axis=1)
+    return np.asarray(is_near | (angles_between.max(axis=1) <= np.pi + TOUCHED_BY_AXIS))
 
 
-def _clamped(case: Case, parts: Parts) -> list[Verdict]:
+def _clamped_interfaces(case: Case, parts: Parts) -> Iterator[Verdict]:
     """Interfaces with both sides held by supports along all axes."""
-    notes = []
     for name in gaps_of(case, parts):
         held_masks: list[NDArray[np.bool_]] = []
         for side in case.geometry.interface_sides[name]:
@@ -372,13 +346,12 @@ def _clamped(case: Case, parts: Parts) -> list[Verdict]:
         if clamped_share > CLAMPED_SHARE:
             message = (
                 f"supports hold both sides of interface '{name}' at {100 * clamped_share:.0f} % "
-                "of its "
+                "of its nodes: it can neither open nor slip there"
             )
-            notes.append(note(f"{message}nodes: it can neither open nor slip there"))
-    return notes
+            yield note(message)
 
 
-def _meeting(case: Case, parts: Parts) -> list[Verdict]:
+def _dependent_jumps(case: Case, parts: Parts) -> list[Verdict]:
     """A note on vertices with more interfaces than independent jumps: some jumps follow."""
     interfaces_that_part = [name for name, law in case.interfaces.items() if law.can_part]
     regions_of_bodies = {
@@ -423,10 +396,8 @@ def _side_spans(case: Case, parts: Parts, name: str) -> tuple[float, float]:
     return thickness, float(np.linalg.norm(np.ptp(x, axis=0)))
 
 
-def _gaps(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
-    """Errors and notes on gaps and interferences that are not small."""
-    errors: list[Verdict] = []
-    notes: list[Verdict] = []
+def _large_gaps(case: Case, parts: Parts) -> Iterator[Verdict]:
+    """Gaps and interferences that are not small."""
     for name, gap in gaps_of(case, parts).items():
         factors = (0.0, *load_history_of(case, case.interfaces[name].gap_multipliers))
         interference = -float(np.multiply.outer(factors, gap).min())
@@ -439,27 +410,24 @@ def _gaps(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
                 f"{100 * interference / thickness:.0f} % of the thickness of the bodies "
                 f"({thickness:.3g} mm), so that strains are not small"
             )
-            errors.append(Verdict(message, key, "use a smaller interference; is the unit wrong?"))
+            yield Verdict(message, key, "use a smaller interference; is the unit wrong?")
         elif thickness and interference > LARGE_GAP * thickness:
             message = (
                 f"an interference of {interference:.3g} mm in bodies {thickness:.3g} mm thick: "
                 "strains are not small"
             )
-            notes.append(note(message, key, WRONG_UNIT))
+            yield note(message, key, WRONG_UNIT)
         if smallest_gap > LARGE_GAP * size:
             message = (
                 f"the sides are {smallest_gap:.3g} mm apart everywhere, "
-                f"{100 * smallest_gap / size:.0f} % of the "
-                f"size of the interface ({size:.3g} mm)"
+                f"{100 * smallest_gap / size:.0f} % of the size of the interface ({size:.3g} mm)"
             )
             remedy = "use a smaller gap, since results assume small displacements"
-            notes.append(note(message, key, remedy))
-    return errors, notes
+            yield note(message, key, remedy)
 
 
-def _large_displacements(case: Case, parts: Parts) -> list[Verdict]:
-    """Notes on prescribed displacements that are not small."""
-    notes = []
+def _large_displacements(case: Case, parts: Parts) -> Iterator[Verdict]:
+    """Prescribed displacements that are not small."""
     model_size = float(np.linalg.norm(np.ptp(parts.x, axis=0)))
     for name, s in case.supports.items():
         if s.kind != "displacement" or not parts.boundaries.get(s.boundary):
@@ -471,13 +439,12 @@ def _large_displacements(case: Case, parts: Parts) -> list[Verdict]:
                 f"moves a model of {model_size:.3g} mm by {largest_displacement:.3g} mm: "
                 "displacements are not small"
             )
-            notes.append(note(message, f"supports.{name}", WRONG_UNIT))
-    return notes
+            yield note(message, f"supports.{name}", WRONG_UNIT)
 
 
-def _strained(case: Case, parts: Parts) -> list[Verdict]:
+def _large_strains(case: Case, parts: Parts) -> Iterator[Verdict]:
     """Loads that strain the material under them by more than `STRAIN`."""
-    notes, areas = [], boundary_areas(parts.data)
+    areas = boundary_areas(parts.data)
     for name, load in case.loads.items():
         boundary = next(iter(load.boundaries), "")
         area = areas.get(boundary, 0.0)
@@ -493,17 +460,21 @@ def _strained(case: Case, parts: Parts) -> list[Verdict]:
                 f"{stress:.3g} MPa on boundary '{boundary}' is large for a modulus of "
                 f"{softest:.3g} MPa: strains are not small"
             )
-            notes.append(note(message, f"loads.{name}", WRONG_UNIT))
-    return notes
+            yield note(message, f"loads.{name}", WRONG_UNIT)
 
 
 # Faults of the mesh
 
 
-def _cracks(case: Case, parts: Parts) -> list[Verdict]:
+def _messages_of_the_mesher(case: Case, parts: Parts) -> Iterator[Verdict]:
+    """Notes that were made with the mesh."""
+    for message in parts.data.notes.get("messages", ()):
+        yield note(message)
+
+
+def _open_cracks(case: Case, parts: Parts) -> Iterator[Verdict]:
     """Coincident nodes that are not joined, and faces on each other without a common node."""
-    notes = []
-    slides = [{*sum(case.geometry.interface_sides[n], ())} for n in parts.faces]
+    slides = [{*chain(*case.geometry.interface_sides[n])} for n in parts.faces]
     for (a, b), x in parts.doubled.items():
         if a != b and any({a, b} <= regions for regions in slides):
             continue
@@ -516,9 +487,9 @@ def _cracks(case: Case, parts: Parts) -> list[Verdict]:
             "if it is not intended, merge them (in gmsh BooleanFragments before meshing, or "
             "Coherence Mesh after it)"
         )
-        notes.append(note(message, region_text, cure))
+        yield note(message, region_text, cure)
     if case.geometry.kind != "file":
-        return notes
+        return
     for (a, b), (area, place) in lying(parts.data).items():
         sliding = a != b and any({a, b} <= regions for regions in slides)
         if sliding or (a, b) in parts.doubled or (b, a) in parts.doubled:
@@ -526,21 +497,20 @@ def _cracks(case: Case, parts: Parts) -> list[Verdict]:
         region_text = f"regions '{a}' and '{b}'" if a != b else f"two bodies of region '{a}'"
         message = (
             f"{region_text} touch over {area:.3g} mm2, e.g. at {point_text(place)}, but share no "
-            "node: "
-            "neither force nor heat passes between them"
+            "node: neither force nor heat passes between them"
         )
         cure = (
             "if they are to be joined, mesh them together (in gmsh BooleanFragments), or let them "
             "slide (`sliding: finite`)"
         )
-        notes.append(note(message, cure=cure))
-    return notes
+        yield note(message, cure=cure)
 
 
-def _size(case: Case, parts: Parts) -> list[Verdict]:
-    """Mesh files in a doubtful unit."""
+def _doubtful_unit(case: Case, parts: Parts) -> list[Verdict]:
+    """A note on a mesh file in a doubtful unit."""
     size = float(np.linalg.norm(np.ptp(parts.x, axis=0)))
-    if not isinstance(case.geometry, MeshFile) or SIZES[0] <= size <= SIZES[1]:
+    smallest, largest = USUAL_DIAGONALS
+    if not isinstance(case.geometry, MeshFile) or smallest <= size <= largest:
         return []
     message = (
         f"the mesh is {size:.3g} mm from corner to corner: is its unit really {case.geometry.unit}?"
@@ -548,24 +518,53 @@ def _size(case: Case, parts: Parts) -> list[Verdict]:
     return [note(message, "geometry")]
 
 
-def _too_stiff(case: Case, parts: Parts) -> list[Verdict]:
+def _too_stiff_in_bending(case: Case, parts: Parts) -> Iterator[Verdict]:
     """Slender regions of linear cells, which are too stiff in bending."""
     if case.mesh.order != 1:
-        return []
+        return
     worst_of_region: dict[str, tuple[float, float, float]] = {}
     for p in parts.pieces:
-        slender = p.thickness < SLENDER * float(p.box.max())
-        if slender and p.free > FREE_SHARE and modulus(case.regions[p.region]):
-            excess = BENDING * (p.edge / p.thickness) ** 2
+        slender = p.thickness < SLENDER_PIECE * float(p.box.max())
+        if slender and p.free > FREE_SURFACE_SHARE and modulus(case.regions[p.region]):
+            excess = EXCESS_OF_LINEAR_CELLS * (p.edge / p.thickness) ** 2
             candidate = (excess, p.thickness, p.edge)
             worst_of_region[p.region] = max(worst_of_region.get(p.region, candidate), candidate)
-    notes = []
     for name, (excess, thickness, edge) in worst_of_region.items():
-        if excess > TOO_STIFF:
+        if excess > LARGE_EXCESS:
             percent = float(f"{100 * excess:.2g}")
             message = (
                 f"region '{name}' is {thickness:.3g} mm thick with linear cells of {edge:.3g} mm: "
                 f"in bending it is about {percent:.0f} % too stiff"
             )
-            notes.append(note(message, cure="use mesh.order: 2"))
-    return notes
+            yield note(message, cure="use mesh.order: 2")
+
+
+# Checks of the mesh and of places on it, also without mechanics.
+MESH_CHECKS: tuple[Check, ...] = (
+    _messages_of_the_mesher,
+    _open_cracks,
+    _doubtful_unit,
+    _fibre_axes_in_cells,
+    _sides_that_do_not_fit,
+    _followers_moved_twice,
+    _misplaced_probes,
+    paths_on_mesh.misplaced_paths,
+)
+# Checks of mechanics: those that can refuse a case, then those that only note.
+MECHANICS_CHECKS: tuple[tuple[Check, ...], ...] = (
+    (
+        _rotations_not_given,
+        _motions_with_supports_or_loads,
+        floating_bodies,
+        _contradictory_supports,
+        _large_gaps,
+    ),
+    (
+        loosely_held_bodies,
+        _clamped_interfaces,
+        _dependent_jumps,
+        _large_displacements,
+        _too_stiff_in_bending,
+        _large_strains,
+    ),
+)

@@ -13,7 +13,7 @@ from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
 from app.laws.supports import Roller
 from app.results.balance import Balance
-from app.soundness.well_posedness import judge, look
+from app.soundness.well_posedness import judge, mesh_parts
 from app.verification.changed_meshes import CHANGES, ROTATION
 from meshes.distribute import TaggedMesh, distribute
 from tests import support
@@ -239,7 +239,7 @@ def test_oblique_rollers_free_motions_of_normals(y: str, expected: str) -> None:
         "supports.x={kind: roller, boundary: x_min, normal: [1, 1, 0]}",
         f"supports.y={{kind: roller, boundary: y_min, normal: {y}}}",
     )
-    parts = look(this, meshes.build(this.geometry, this.mesh, None))
+    parts = mesh_parts(this, meshes.build(this.geometry, this.mesh, None))
     if expected:
         with pytest.raises(InputError, match=expected):
             judge(this, parts)

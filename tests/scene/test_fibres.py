@@ -165,7 +165,7 @@ def test_fibres_refuse_an_axis_inside_the_region(
     key = "regions.ring.thermal.fibre" if of_heat else "regions.ring.fibre"
     changes = (f"{key}.through={through}", f"{key}.axis={axis}", "mesh.size=2 mm")
     case = support.case(HOT, *changes) if of_heat else ring("radial", *changes)
-    computed = well_posedness.look(case, build(case))
+    computed = well_posedness.mesh_parts(case, build(case))
     if not refused:
         well_posedness.judge(case, computed)
         return

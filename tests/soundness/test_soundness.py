@@ -66,7 +66,7 @@ motions:
 
 def judge(case: Case, data: MeshData) -> list[str]:
     """Notes on a case on a mesh."""
-    return [v.text for v in well_posedness.judge(case, well_posedness.look(case, data))]
+    return [v.text for v in well_posedness.judge(case, well_posedness.mesh_parts(case, data))]
 
 
 def judged(text: str, *overrides: str) -> list[str]:
@@ -183,10 +183,10 @@ def test_well_posedness_refuses_a_loose_body(monkeypatch: pytest.MonkeyPatch) ->
     A run refuses it in the same words, before it factorizes a singular matrix.
     """
     case = support.case(TWO, "interfaces={}")
-    parts = well_posedness.look(case, build(case))
+    parts = well_posedness.mesh_parts(case, build(case))
     assert len(groups_of(case, parts)) == 1
     data = torn(build(case), case, "bone_metal")
-    cracked = well_posedness.look(case, data)
+    cracked = well_posedness.mesh_parts(case, data)
     assert len(groups_of(case, cracked)) == 2
     with pytest.raises(InputError) as caught:
         well_posedness.judge(case, cracked)
@@ -207,7 +207,7 @@ def test_well_posedness_refuses_a_loose_body(monkeypatch: pytest.MonkeyPatch) ->
 def test_well_posedness_refuses_a_free_rotation() -> None:
     """Nodes on one edge hold all axes and leave a rotation about the edge."""
     case = support.case(TWO, "interfaces={}")
-    parts = well_posedness.look(case, build(case))
+    parts = well_posedness.mesh_parts(case, build(case))
     ((piece, nodes),) = parts.boundaries["bottom"].items()
     edge = {piece: nodes[parts.x[nodes, 1] < 1e-9]}
     held = replace(parts, boundaries={**parts.boundaries, "bottom": edge})
@@ -477,7 +477,7 @@ def test_failure_body_held_by_friction_is_not_lifted(push: float, held: bool) ->
 def test_bodies_on_mesh_only_bonded_interfaces_join_bodies() -> None:
     """A law of a kind yet to come that can open is no bond; one that cannot is."""
     case = support.case(TWO)
-    parts = well_posedness.look(case, build(case))
+    parts = well_posedness.mesh_parts(case, build(case))
     law = SimpleNamespace(can_open=True, gap_field=lambda *_: lambda x: np.full(len(x), 0.1))
     opens = case.model_copy(update={"interfaces": {"bone_metal": law}})
     assert len(groups_of(opens, parts)) == 2
