@@ -26,13 +26,13 @@ import mantle
 from app import rooms  # noqa: F401  (registers keys that cases have)
 from app.case.case import Case, load
 from app.case.quantities import (
-    DOSE,
-    HEAT,
-    MOTION,
-    SLIP,
-    STRESS,
+    ORDER_OF_DOSE,
+    ORDER_OF_HEAT,
+    ORDER_OF_MOTION,
+    ORDER_OF_SLIP,
+    ORDER_OF_STRESS,
+    ORDER_OF_TRACTION,
     TABLE,
-    TRACTION,
     numbers_of,
 )
 from app.patient import bone_surface
@@ -45,8 +45,13 @@ SIZES = (8.0, 6.0, 4.0)
 # Mesh of the reference. Its number of lines around, no multiple of 4, does not put them on the ends
 # of the stem's arcs, where those of the judged meshes are.
 REFERENCE = {"mesh.size": "3.2 mm", "mesh.around": "57", "output.error": "false"}
-CLASSES = {MOTION: "motions", SLIP: "slips", TRACTION: "tractions", STRESS: "stresses"}
-HEAT_CLASSES = {HEAT: "temperatures", DOSE: "doses, times, cure"}
+CLASSES = {
+    ORDER_OF_MOTION: "motions",
+    ORDER_OF_SLIP: "slips",
+    ORDER_OF_TRACTION: "tractions",
+    ORDER_OF_STRESS: "stresses",
+}
+HEAT_CLASSES = {ORDER_OF_HEAT: "temperatures", ORDER_OF_DOSE: "doses, times, cure"}
 
 # Femora, stretched along x, y, z: the measured one, which is small; the same as a right one;
 # the parametric femur, made tall and slender with a deep metaphysis.

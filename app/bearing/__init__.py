@@ -16,8 +16,8 @@ from app.bearing import findings as findings  # registers its checks
 from app.bearing import head_cup as head_cup  # registers the geometry
 from app.case.case import Case
 from app.case.quantities import (
-    MOTION,
-    TRACTION,
+    ORDER_OF_MOTION,
+    ORDER_OF_TRACTION,
     InterfaceField,
     Quantity,
     add_interface_field,
@@ -64,14 +64,14 @@ add_interface_field(
 _interface = partial(Quantity, "interfaces")
 add_quantity(
     # Finite sliding, at the end and over a cycle.
-    _interface("torque", "N mm", order=MOTION, vector=True),
-    _interface("torque_size", "N mm", digits=1, label="torque", order=MOTION),
+    _interface("torque", "N mm", order=ORDER_OF_MOTION, vector=True),
+    _interface("torque_size", "N mm", digits=1, label="torque", order=ORDER_OF_MOTION),
     _interface(
         "torque_along",
         "N mm",
         digits=1,
         label="friction torque along the motion",
-        order=MOTION,
+        order=ORDER_OF_MOTION,
         step_record=True,
         curve=True,
     ),
@@ -80,37 +80,46 @@ add_quantity(
         "N mm",
         digits=1,
         label="torque, max",
-        order=MOTION,
+        order=ORDER_OF_MOTION,
         headline=True,
         on_page=True,
         sentence="{name}: largest friction torque of a cycle {torque_max}",
         caption="largest friction torque of {name}",
     ),
-    _interface("centre", "mm", order=MOTION, vector=True),
+    _interface("centre", "mm", order=ORDER_OF_MOTION, vector=True),
     _interface(
-        "eccentricity", "mm", "um", 1, order=MOTION, step_record=True, curve=True, on_page=True
+        "eccentricity",
+        "mm",
+        "um",
+        1,
+        order=ORDER_OF_MOTION,
+        step_record=True,
+        curve=True,
+        on_page=True,
     ),
     _interface("pressure_max_at", "mm", exact=True, vector=True),
     _interface(
         "dissipation_cycle",
         "N mm",
         label="dissipation in a cycle",
-        order=MOTION,
+        order=ORDER_OF_MOTION,
         on_page=True,
         sentence="{name}: energy dissipated in a cycle {dissipation_cycle}, "
         "largest sliding distance {slid_max}",
         caption="friction energy of {name} in a cycle",
     ),
-    _interface("slid_max", "mm", label="slid in a cycle, max", order=MOTION, on_page=True),
-    _interface("slid_mean", "mm", label="slid in a cycle, mean", order=MOTION),
-    _interface("slid_max_master", "mm", label="slid in a cycle, max, master", order=MOTION),
+    _interface("slid_max", "mm", label="slid in a cycle, max", order=ORDER_OF_MOTION, on_page=True),
+    _interface("slid_mean", "mm", label="slid in a cycle, mean", order=ORDER_OF_MOTION),
+    _interface(
+        "slid_max_master", "mm", label="slid in a cycle, max, master", order=ORDER_OF_MOTION
+    ),
     # Wear by a cycle, and by a million of them.
     _interface(
         "wear_volume",
         "mm^3",
         digits=9,
         label="wear in a cycle, volume",
-        order=MOTION,
+        order=ORDER_OF_MOTION,
         sentence="{name}: wear in a million cycles {wear_volume_million}, "
         "depth {wear_depth_max_million} (max), {wear_depth_p99_million} (p99)",
     ),
@@ -119,18 +128,22 @@ add_quantity(
         "mm",
         digits=9,
         label="wear in a cycle, depth, max",
-        order=TRACTION,
+        order=ORDER_OF_TRACTION,
         peak=True,
     ),
     _interface(
-        "wear_depth_p99", "mm", digits=9, label="wear in a cycle, depth, p99", order=TRACTION
+        "wear_depth_p99",
+        "mm",
+        digits=9,
+        label="wear in a cycle, depth, p99",
+        order=ORDER_OF_TRACTION,
     ),
     _interface(
         "wear_depth_max_master",
         "mm",
         digits=9,
         label="wear in a cycle, depth, max, master",
-        order=TRACTION,
+        order=ORDER_OF_TRACTION,
         peak=True,
     ),
     _interface(
@@ -138,13 +151,13 @@ add_quantity(
         "mm",
         digits=9,
         label="wear in a cycle, depth, p99, master",
-        order=TRACTION,
+        order=ORDER_OF_TRACTION,
     ),
     _interface(
         "wear_volume_million",
         "mm^3",
         label="wear in a million cycles, volume",
-        order=MOTION,
+        order=ORDER_OF_MOTION,
         headline=True,
         on_page=True,
         caption="wear of {name} in a million cycles",
@@ -154,14 +167,14 @@ add_quantity(
         "wear_depth_max_million",
         "mm",
         label="wear in a million cycles, depth, max",
-        order=TRACTION,
+        order=ORDER_OF_TRACTION,
         peak=True,
     ),
     _interface(
         "wear_depth_p99_million",
         "mm",
         label="wear in a million cycles, depth, p99",
-        order=TRACTION,
+        order=ORDER_OF_TRACTION,
         headline=True,
         on_page=True,
     ),
@@ -169,14 +182,14 @@ add_quantity(
         "wear_depth_max_master_million",
         "mm",
         label="wear in a million cycles, depth, max, master",
-        order=TRACTION,
+        order=ORDER_OF_TRACTION,
         peak=True,
     ),
     _interface(
         "wear_depth_p99_master_million",
         "mm",
         label="wear in a million cycles, depth, p99, master",
-        order=TRACTION,
+        order=ORDER_OF_TRACTION,
         on_page=True,
     ),
     # Coverage and heat of finite sliding.
@@ -188,6 +201,6 @@ add_quantity(
         exact=True,
         sentence="{name}: {uncovered_fraction} of the slave surface left the master at some time",
     ),
-    _interface("friction_power", "W", digits=3, order=MOTION, on_page=True),
-    _interface("temperature_swing", "K", label="swing of the temperature", order=TRACTION),
+    _interface("friction_power", "W", digits=3, order=ORDER_OF_MOTION, on_page=True),
+    _interface("temperature_swing", "K", label="swing of the temperature", order=ORDER_OF_TRACTION),
 )

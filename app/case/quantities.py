@@ -21,19 +21,19 @@ from app.schema.units import Dimension, Plain
 
 # Orders of convergence of P1 and P2 for estimates of errors (docs/verification.md).
 # Displacements.
-MOTION = (0.8, 1.3)
+ORDER_OF_MOTION = (0.8, 1.3)
 # Slip.
-SLIP = (0.8, 1.2)
+ORDER_OF_SLIP = (0.8, 1.2)
 # Contact pressure, shear stress and what they wear.
-TRACTION = (0.8, 0.8)
+ORDER_OF_TRACTION = (0.8, 0.8)
 # Stress in regions.
-STRESS = (0.8, 1.0)
+ORDER_OF_STRESS = (0.8, 1.0)
 # Powers of stress, and volumes in which it exceeds a level.
-RISK = (0.8, 0.99)
+ORDER_OF_RISK = (0.8, 0.99)
 # Temperature.
-HEAT = (1.5, 1.5)
+ORDER_OF_HEAT = (1.5, 1.5)
 # Thermal doses, times and cure.
-DOSE = (1.0, 1.0)
+ORDER_OF_DOSE = (1.0, 1.0)
 # Dimension of each unit in summary.json, with its article.
 UNITS = {
     "mm": "a length",
@@ -290,41 +290,48 @@ _timing = partial(Quantity, "timing")
 add_quantity(
     # Tractions at edges grow with refinement: their 95th percentile is the headline.
     _interface("gap_max", "mm", "um", 1, label="gap, max", peak=True, step_record=True),
-    _interface("gap_p95", "mm", "um", 1, label="gap, p95", order=MOTION),
+    _interface("gap_p95", "mm", "um", 1, label="gap, p95", order=ORDER_OF_MOTION),
     _interface(
         "gap_p99",
         "mm",
         "um",
         1,
         label="gap, p99",
-        order=MOTION,
+        order=ORDER_OF_MOTION,
         step_record=True,
         headline=True,
     ),
-    _interface("gap_mean", "mm", "um", 1, label="gap, mean", order=MOTION),
+    _interface("gap_mean", "mm", "um", 1, label="gap, mean", order=ORDER_OF_MOTION),
     _interface("slip_max", "mm", "um", 1, label="slip, max", peak=True, step_record=True),
-    _interface("slip_p95", "mm", "um", 1, label="slip, p95", order=SLIP),
+    _interface("slip_p95", "mm", "um", 1, label="slip, p95", order=ORDER_OF_SLIP),
     _interface(
-        "slip_p99", "mm", "um", 1, label="slip, p99", order=SLIP, step_record=True, headline=True
+        "slip_p99",
+        "mm",
+        "um",
+        1,
+        label="slip, p99",
+        order=ORDER_OF_SLIP,
+        step_record=True,
+        headline=True,
     ),
-    _interface("slip_mean", "mm", "um", 1, label="slip, mean", order=SLIP),
+    _interface("slip_mean", "mm", "um", 1, label="slip, mean", order=ORDER_OF_SLIP),
     _interface("slip_path_max", "mm", "um", 1, label="path of slip, max", peak=True),
-    _interface("slip_path_p95", "mm", "um", 1, label="path of slip, p95", order=SLIP),
-    _interface("slip_path_p99", "mm", "um", 1, label="path of slip, p99", order=SLIP),
-    _interface("slip_path_mean", "mm", "um", 1, label="path of slip, mean", order=SLIP),
+    _interface("slip_path_p95", "mm", "um", 1, label="path of slip, p95", order=ORDER_OF_SLIP),
+    _interface("slip_path_p99", "mm", "um", 1, label="path of slip, p99", order=ORDER_OF_SLIP),
+    _interface("slip_path_mean", "mm", "um", 1, label="path of slip, mean", order=ORDER_OF_SLIP),
     _interface("motion_max", "mm", "um", 1, label="motion, max", peak=True, step_record=True),
-    _interface("motion_p95", "mm", "um", 1, label="motion, p95", order=MOTION),
+    _interface("motion_p95", "mm", "um", 1, label="motion, p95", order=ORDER_OF_MOTION),
     _interface(
         "motion_p99",
         "mm",
         "um",
         1,
         label="motion, p99",
-        order=MOTION,
+        order=ORDER_OF_MOTION,
         step_record=True,
         headline=True,
     ),
-    _interface("motion_mean", "mm", "um", 1, label="motion, mean", order=MOTION),
+    _interface("motion_mean", "mm", "um", 1, label="motion, mean", order=ORDER_OF_MOTION),
     # Of a press fit: motion since its gap last changed.
     _interface(
         "micromotion_max",
@@ -337,7 +344,13 @@ add_quantity(
         on_page=True,
     ),
     _interface(
-        "micromotion_p95", "mm", "um", 1, label="micromotion, p95", order=MOTION, on_page=True
+        "micromotion_p95",
+        "mm",
+        "um",
+        1,
+        label="micromotion, p95",
+        order=ORDER_OF_MOTION,
+        on_page=True,
     ),
     _interface(
         "micromotion_p99",
@@ -345,36 +358,42 @@ add_quantity(
         "um",
         1,
         label="micromotion, p99",
-        order=MOTION,
+        order=ORDER_OF_MOTION,
         step_record=True,
         headline=True,
         on_page=True,
     ),
     _interface(
-        "micromotion_mean", "mm", "um", 1, label="micromotion, mean", order=MOTION, on_page=True
+        "micromotion_mean",
+        "mm",
+        "um",
+        1,
+        label="micromotion, mean",
+        order=ORDER_OF_MOTION,
+        on_page=True,
     ),
     _interface("pressure_max", "MPa", label="pressure, max", peak=True, step_record=True),
     _interface(
         "pressure_p95",
         "MPa",
         label="pressure, p95",
-        order=TRACTION,
+        order=ORDER_OF_TRACTION,
         step_record=True,
         headline=True,
     ),
-    _interface("pressure_p99", "MPa", label="pressure, p99", order=TRACTION),
-    _interface("pressure_mean", "MPa", label="pressure, mean", order=MOTION),
+    _interface("pressure_p99", "MPa", label="pressure, p99", order=ORDER_OF_TRACTION),
+    _interface("pressure_mean", "MPa", label="pressure, mean", order=ORDER_OF_MOTION),
     _interface("shear_max", "MPa", label="shear stress, max", peak=True, step_record=True),
     _interface(
         "shear_p95",
         "MPa",
         label="shear stress, p95",
-        order=TRACTION,
+        order=ORDER_OF_TRACTION,
         step_record=True,
         headline=True,
     ),
-    _interface("shear_p99", "MPa", label="shear stress, p99", order=TRACTION),
-    _interface("shear_mean", "MPa", label="shear stress, mean", order=MOTION),
+    _interface("shear_p99", "MPa", label="shear stress, p99", order=ORDER_OF_TRACTION),
+    _interface("shear_mean", "MPa", label="shear stress, mean", order=ORDER_OF_MOTION),
     # Contact: overlap of the sides, state of the points, forces and energies.
     _interface(
         "penetration_max",
@@ -407,8 +426,8 @@ add_quantity(
         label="area of micromotion over 150 µm",
         on_page=True,
     ),
-    _interface("force", "N", order=MOTION, vector=True),
-    _interface("dissipation", "N mm", order=SLIP, step_record=True, curve=True),
+    _interface("force", "N", order=ORDER_OF_MOTION, vector=True),
+    _interface("dissipation", "N mm", order=ORDER_OF_SLIP, step_record=True, curve=True),
     _interface("dissipation_min", "N mm", step_record=True),
     _interface("contact_work", "N mm", step_record=True),
     # Layers, and cohesive interfaces that break.
@@ -416,7 +435,9 @@ add_quantity(
     _interface("unbonded_fraction", "-", "%", 1, label="fraction never bonded", exact=True),
     _interface("area_damaged", "mm^2", digits=1, label="damaged area", step_record=True),
     _interface("area_broken", "mm^2", digits=1, label="broken area", step_record=True),
-    _interface("damage_mean", "-", digits=4, label="damage, mean", order=MOTION, step_record=True),
+    _interface(
+        "damage_mean", "-", digits=4, label="damage, mean", order=ORDER_OF_MOTION, step_record=True
+    ),
     _interface("pressure_by_facets", "MPa", label="pressure caused by facets, max", exact=True),
     _interface("pressure_mean_max", "MPa", label="pressure, largest mean at a point"),
     _interface("zone_length", "mm", digits=1, label="length of the process zone", step_record=True),
@@ -429,52 +450,85 @@ add_quantity(
         "-",
         digits=3,
         label="failure index, p99",
-        order=TRACTION,
+        order=ORDER_OF_TRACTION,
         step_record=True,
     ),
     _interface(
-        "failure_load_factor", "-", digits=3, label="load factor of failure", order=TRACTION
+        "failure_load_factor",
+        "-",
+        digits=3,
+        label="load factor of failure",
+        order=ORDER_OF_TRACTION,
     ),
 )
 add_quantity(
     _region("von_mises_max", "MPa", label="von Mises stress, max", peak=True),
-    _region("von_mises_p99", "MPa", label="von Mises stress, p99", order=STRESS, headline=True),
-    _region("hoop_p99", "MPa", label="hoop stress, p99", order=STRESS),
+    _region(
+        "von_mises_p99", "MPa", label="von Mises stress, p99", order=ORDER_OF_STRESS, headline=True
+    ),
+    _region("hoop_p99", "MPa", label="hoop stress, p99", order=ORDER_OF_STRESS),
     _region("principal_max", "MPa", label="tension, max", peak=True),
-    _region("principal_p99", "MPa", label="tension, p99", order=STRESS),
+    _region("principal_p99", "MPa", label="tension, p99", order=ORDER_OF_STRESS),
     _region("principal_min", "MPa", label="smallest principal stress", peak=True),
     _region("mean_stress_min", "MPa", label="mean stress, min"),
     _region("mean_stress_max", "MPa", label="mean stress, max"),
     _region("creep_strain_max", "-", "%", label="creep strain, max", peak=True),
-    _region("creep_strain_mean", "-", "%", label="creep strain, mean", order=STRESS, headline=True),
+    _region(
+        "creep_strain_mean",
+        "-",
+        "%",
+        label="creep strain, mean",
+        order=ORDER_OF_STRESS,
+        headline=True,
+    ),
     # Volume under tension above each of `TENSION_LEVELS`.
     _region(
-        "volume_over_3_MPa", "mm^3", digits=1, label="volume with tension over 3 MPa", order=RISK
+        "volume_over_3_MPa",
+        "mm^3",
+        digits=1,
+        label="volume with tension over 3 MPa",
+        order=ORDER_OF_RISK,
     ),
     _region(
-        "volume_over_5_MPa", "mm^3", digits=1, label="volume with tension over 5 MPa", order=RISK
+        "volume_over_5_MPa",
+        "mm^3",
+        digits=1,
+        label="volume with tension over 5 MPa",
+        order=ORDER_OF_RISK,
     ),
     _region(
-        "volume_over_7_MPa", "mm^3", digits=1, label="volume with tension over 7 MPa", order=RISK
+        "volume_over_7_MPa",
+        "mm^3",
+        digits=1,
+        label="volume with tension over 7 MPa",
+        order=ORDER_OF_RISK,
     ),
     _region(
-        "volume_over_9_MPa", "mm^3", digits=1, label="volume with tension over 9 MPa", order=RISK
+        "volume_over_9_MPa",
+        "mm^3",
+        digits=1,
+        label="volume with tension over 9 MPa",
+        order=ORDER_OF_RISK,
     ),
     _region(
-        "volume_over_11_MPa", "mm^3", digits=1, label="volume with tension over 11 MPa", order=RISK
+        "volume_over_11_MPa",
+        "mm^3",
+        digits=1,
+        label="volume with tension over 11 MPa",
+        order=ORDER_OF_RISK,
     ),
 )
 add_quantity(
-    _stem("subsidence", "mm", "um", 1, order=MOTION, step_record=True, headline=True),
-    _stem("retroversion", "deg", digits=3, order=MOTION, step_record=True, headline=True),
-    _stem("varus", "deg", digits=3, order=MOTION, step_record=True, headline=True),
+    _stem("subsidence", "mm", "um", 1, order=ORDER_OF_MOTION, step_record=True, headline=True),
+    _stem("retroversion", "deg", digits=3, order=ORDER_OF_MOTION, step_record=True, headline=True),
+    _stem("varus", "deg", digits=3, order=ORDER_OF_MOTION, step_record=True, headline=True),
     _stem(
         "tip_displacement",
         "mm",
         "um",
         1,
         label="displacement of the tip",
-        order=MOTION,
+        order=ORDER_OF_MOTION,
         vector=True,
     ),
     _stem(
@@ -483,25 +537,100 @@ add_quantity(
         "um",
         1,
         label="displacement of the top",
-        order=MOTION,
+        order=ORDER_OF_MOTION,
         vector=True,
     ),
-    _stem("collar_force", "N", digits=0, label="force on the collar", order=MOTION, on_page=True),
-    _stem("collar_share", "-", "%", 0, label="share of the collar", order=MOTION, on_page=True),
+    _stem(
+        "collar_force",
+        "N",
+        digits=0,
+        label="force on the collar",
+        order=ORDER_OF_MOTION,
+        on_page=True,
+    ),
+    _stem(
+        "collar_share",
+        "-",
+        "%",
+        0,
+        label="share of the collar",
+        order=ORDER_OF_MOTION,
+        on_page=True,
+    ),
 )
 add_quantity(
-    _femur("head_displacement", "mm", label="displacement of the head", order=MOTION, vector=True),
-    # Strains of the cortex at each of `GAUGES`.
-    _femur("strain_lateral_10", "-", "um/m", 0, label="lateral strain at z = -10 mm", order=STRESS),
-    _femur("strain_lateral_40", "-", "um/m", 0, label="lateral strain at z = -40 mm", order=STRESS),
-    _femur("strain_lateral_80", "-", "um/m", 0, label="lateral strain at z = -80 mm", order=STRESS),
     _femur(
-        "strain_lateral_113", "-", "um/m", 0, label="lateral strain at z = -113 mm", order=STRESS
+        "head_displacement",
+        "mm",
+        label="displacement of the head",
+        order=ORDER_OF_MOTION,
+        vector=True,
     ),
-    _femur("strain_medial_10", "-", "um/m", 0, label="medial strain at z = -10 mm", order=STRESS),
-    _femur("strain_medial_40", "-", "um/m", 0, label="medial strain at z = -40 mm", order=STRESS),
-    _femur("strain_medial_80", "-", "um/m", 0, label="medial strain at z = -80 mm", order=STRESS),
-    _femur("strain_medial_113", "-", "um/m", 0, label="medial strain at z = -113 mm", order=STRESS),
+    # Strains of the cortex at each of `GAUGES`.
+    _femur(
+        "strain_lateral_10",
+        "-",
+        "um/m",
+        0,
+        label="lateral strain at z = -10 mm",
+        order=ORDER_OF_STRESS,
+    ),
+    _femur(
+        "strain_lateral_40",
+        "-",
+        "um/m",
+        0,
+        label="lateral strain at z = -40 mm",
+        order=ORDER_OF_STRESS,
+    ),
+    _femur(
+        "strain_lateral_80",
+        "-",
+        "um/m",
+        0,
+        label="lateral strain at z = -80 mm",
+        order=ORDER_OF_STRESS,
+    ),
+    _femur(
+        "strain_lateral_113",
+        "-",
+        "um/m",
+        0,
+        label="lateral strain at z = -113 mm",
+        order=ORDER_OF_STRESS,
+    ),
+    _femur(
+        "strain_medial_10",
+        "-",
+        "um/m",
+        0,
+        label="medial strain at z = -10 mm",
+        order=ORDER_OF_STRESS,
+    ),
+    _femur(
+        "strain_medial_40",
+        "-",
+        "um/m",
+        0,
+        label="medial strain at z = -40 mm",
+        order=ORDER_OF_STRESS,
+    ),
+    _femur(
+        "strain_medial_80",
+        "-",
+        "um/m",
+        0,
+        label="medial strain at z = -80 mm",
+        order=ORDER_OF_STRESS,
+    ),
+    _femur(
+        "strain_medial_113",
+        "-",
+        "um/m",
+        0,
+        label="medial strain at z = -113 mm",
+        order=ORDER_OF_STRESS,
+    ),
 )
 add_quantity(
     _bond("strength_fraction", "-", "%", 0, label="area above the strength", step_record=True),
@@ -515,34 +644,69 @@ add_quantity(
         "-",
         digits=3,
         label="failure index, p99",
-        order=TRACTION,
+        order=ORDER_OF_TRACTION,
         step_record=True,
     ),
-    _bond("failure_load_factor", "-", digits=3, label="load factor of failure", order=TRACTION),
+    _bond(
+        "failure_load_factor",
+        "-",
+        digits=3,
+        label="load factor of failure",
+        order=ORDER_OF_TRACTION,
+    ),
 )
 add_quantity(
     _heated_region(
-        "temperature_max", "degC", digits=1, label="highest temperature", order=HEAT, headline=True
-    ),
-    _heated_region("temperature_min", "degC", digits=1, label="lowest temperature", order=HEAT),
-    _heated_region(
-        "temperature_mean", "degC", digits=1, label="mean temperature at the end", order=HEAT
-    ),
-    _heated_region(
-        "temperature_end_max", "degC", digits=1, label="highest temperature at the end", order=HEAT
+        "temperature_max",
+        "degC",
+        digits=1,
+        label="highest temperature",
+        order=ORDER_OF_HEAT,
+        headline=True,
     ),
     _heated_region(
-        "temperature_max_time", "s", digits=1, label="time of the highest temperature", order=DOSE
+        "temperature_min", "degC", digits=1, label="lowest temperature", order=ORDER_OF_HEAT
     ),
-    _heated_region("seconds_over_47", "s", digits=1, label="time over 47 °C", order=DOSE),
-    _heated_region("seconds_over_50", "s", digits=1, label="time over 50 °C", order=DOSE),
-    _heated_region("seconds_over_56", "s", digits=1, label="time over 56 °C", order=DOSE),
-    _heated_region("volume_over_47", "mm^3", digits=1, label="volume over 47 °C", order=DOSE),
-    _heated_region("volume_over_50", "mm^3", digits=1, label="volume over 50 °C", order=DOSE),
-    _heated_region("volume_over_56", "mm^3", digits=1, label="volume over 56 °C", order=DOSE),
-    _heated_region("cem43_max", "min", digits=1, label="dose CEM43, max", order=DOSE),
     _heated_region(
-        "henriques_moritz_max", "-", digits=1, label="damage by Henriques-Moritz, max", order=DOSE
+        "temperature_mean",
+        "degC",
+        digits=1,
+        label="mean temperature at the end",
+        order=ORDER_OF_HEAT,
+    ),
+    _heated_region(
+        "temperature_end_max",
+        "degC",
+        digits=1,
+        label="highest temperature at the end",
+        order=ORDER_OF_HEAT,
+    ),
+    _heated_region(
+        "temperature_max_time",
+        "s",
+        digits=1,
+        label="time of the highest temperature",
+        order=ORDER_OF_DOSE,
+    ),
+    _heated_region("seconds_over_47", "s", digits=1, label="time over 47 °C", order=ORDER_OF_DOSE),
+    _heated_region("seconds_over_50", "s", digits=1, label="time over 50 °C", order=ORDER_OF_DOSE),
+    _heated_region("seconds_over_56", "s", digits=1, label="time over 56 °C", order=ORDER_OF_DOSE),
+    _heated_region(
+        "volume_over_47", "mm^3", digits=1, label="volume over 47 °C", order=ORDER_OF_DOSE
+    ),
+    _heated_region(
+        "volume_over_50", "mm^3", digits=1, label="volume over 50 °C", order=ORDER_OF_DOSE
+    ),
+    _heated_region(
+        "volume_over_56", "mm^3", digits=1, label="volume over 56 °C", order=ORDER_OF_DOSE
+    ),
+    _heated_region("cem43_max", "min", digits=1, label="dose CEM43, max", order=ORDER_OF_DOSE),
+    _heated_region(
+        "henriques_moritz_max",
+        "-",
+        digits=1,
+        label="damage by Henriques-Moritz, max",
+        order=ORDER_OF_DOSE,
     ),
     # Dead bone by each rule of `NECROSIS`.
     _heated_region(
@@ -550,50 +714,56 @@ add_quantity(
         "mm^3",
         digits=1,
         label="dead by 47 °C for 1 min, volume",
-        order=DOSE,
+        order=ORDER_OF_DOSE,
     ),
     _heated_region(
         "necrosis_cem43_16_volume",
         "mm^3",
         digits=1,
         label="dead by CEM43 of 16 min, volume",
-        order=DOSE,
+        order=ORDER_OF_DOSE,
     ),
     _heated_region(
         "necrosis_cem43_60_volume",
         "mm^3",
         digits=1,
         label="dead by CEM43 of 60 min, volume",
-        order=DOSE,
+        order=ORDER_OF_DOSE,
     ),
     _heated_region(
         "necrosis_cem43_240_volume",
         "mm^3",
         digits=1,
         label="dead by CEM43 of 240 min, volume",
-        order=DOSE,
+        order=ORDER_OF_DOSE,
     ),
     _heated_region(
         "necrosis_henriques_moritz_volume",
         "mm^3",
         digits=1,
         label="dead by Henriques-Moritz, volume",
-        order=DOSE,
+        order=ORDER_OF_DOSE,
     ),
     _heated_region(
-        "necrosis_47C_1min_depth", "mm", label="dead by 47 °C for 1 min, depth", order=DOSE
+        "necrosis_47C_1min_depth", "mm", label="dead by 47 °C for 1 min, depth", order=ORDER_OF_DOSE
     ),
     _heated_region(
-        "necrosis_cem43_16_depth", "mm", label="dead by CEM43 of 16 min, depth", order=DOSE
+        "necrosis_cem43_16_depth", "mm", label="dead by CEM43 of 16 min, depth", order=ORDER_OF_DOSE
     ),
     _heated_region(
-        "necrosis_cem43_60_depth", "mm", label="dead by CEM43 of 60 min, depth", order=DOSE
+        "necrosis_cem43_60_depth", "mm", label="dead by CEM43 of 60 min, depth", order=ORDER_OF_DOSE
     ),
     _heated_region(
-        "necrosis_cem43_240_depth", "mm", label="dead by CEM43 of 240 min, depth", order=DOSE
+        "necrosis_cem43_240_depth",
+        "mm",
+        label="dead by CEM43 of 240 min, depth",
+        order=ORDER_OF_DOSE,
     ),
     _heated_region(
-        "necrosis_henriques_moritz_depth", "mm", label="dead by Henriques-Moritz, depth", order=DOSE
+        "necrosis_henriques_moritz_depth",
+        "mm",
+        label="dead by Henriques-Moritz, depth",
+        order=ORDER_OF_DOSE,
     ),
 )
 add_quantity(
@@ -602,7 +772,7 @@ add_quantity(
         "degC",
         digits=1,
         label="highest temperature, first side",
-        order=HEAT,
+        order=ORDER_OF_HEAT,
         headline=True,
     ),
     _heated_interface(
@@ -610,19 +780,29 @@ add_quantity(
         "degC",
         digits=1,
         label="highest temperature, second side",
-        order=HEAT,
+        order=ORDER_OF_HEAT,
         headline=True,
     ),
     _heated_interface(
-        "temperature_max_first_time", "s", digits=1, label="time of it, first side", order=DOSE
+        "temperature_max_first_time",
+        "s",
+        digits=1,
+        label="time of it, first side",
+        order=ORDER_OF_DOSE,
     ),
     _heated_interface(
-        "temperature_max_second_time", "s", digits=1, label="time of it, second side", order=DOSE
+        "temperature_max_second_time",
+        "s",
+        digits=1,
+        label="time of it, second side",
+        order=ORDER_OF_DOSE,
     ),
     _heated_interface(
-        "temperature_jump_max", "K", digits=1, label="temperature jump, max", order=HEAT
+        "temperature_jump_max", "K", digits=1, label="temperature jump, max", order=ORDER_OF_HEAT
     ),
-    _heated_interface("heat_flux_max", "W/m^2", digits=0, label="heat flux, max", order=HEAT),
+    _heated_interface(
+        "heat_flux_max", "W/m^2", digits=0, label="heat flux, max", order=ORDER_OF_HEAT
+    ),
     _heated_interface(
         "entropy_production_min", "W/(m^2 K)", digits=1, label="entropy production, min"
     ),
@@ -631,11 +811,11 @@ add_quantity(
     ),
 )
 add_quantity(
-    _cure("degree_min", "-", digits=4, label="degree of cure, min", order=DOSE),
-    _cure("degree_max", "-", digits=4, label="degree of cure, max", order=DOSE),
-    _cure("time_50", "s", digits=1, label="50 % set everywhere", order=DOSE),
-    _cure("time_90", "s", digits=1, label="90 % set everywhere", order=DOSE),
-    _cure("rate_max", "1/s", digits=4, label="rate of cure, max", order=DOSE),
+    _cure("degree_min", "-", digits=4, label="degree of cure, min", order=ORDER_OF_DOSE),
+    _cure("degree_max", "-", digits=4, label="degree of cure, max", order=ORDER_OF_DOSE),
+    _cure("time_50", "s", digits=1, label="50 % set everywhere", order=ORDER_OF_DOSE),
+    _cure("time_90", "s", digits=1, label="90 % set everywhere", order=ORDER_OF_DOSE),
+    _cure("rate_max", "1/s", digits=4, label="rate of cure, max", order=ORDER_OF_DOSE),
 )
 add_quantity(
     _solver("newton_iterations", "-", label="Newton iterations", exact=True),
@@ -664,8 +844,10 @@ add_section(
         columns={"gauge": "", "strain": "strain"},
         owners=_probed,
     ),
-    Quantity("probes", "strain", "-", "um/m", 0, order=STRESS, step_record=True, headline=True),
-    Quantity("probes", "displacement", "mm", order=MOTION, vector=True, step_record=True),
+    Quantity(
+        "probes", "strain", "-", "um/m", 0, order=ORDER_OF_STRESS, step_record=True, headline=True
+    ),
+    Quantity("probes", "displacement", "mm", order=ORDER_OF_MOTION, vector=True, step_record=True),
 )
 
 

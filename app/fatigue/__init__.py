@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 from app.case.case import Case
 from app.case.quantities import (
-    MOTION,
-    RISK,
-    STRESS,
+    ORDER_OF_MOTION,
+    ORDER_OF_RISK,
+    ORDER_OF_STRESS,
     NumberSection,
     Quantity,
     add_quantity,
@@ -89,8 +89,10 @@ def _tested(case: Case) -> Iterable[str]:
 add_record("risk", _risk)
 add_record("stem_test", _potted_stem)
 add_quantity(
-    Quantity("regions", "failure_risk", "-", digits=4, order=RISK, peak=True, headline=True),
-    Quantity("regions", "failure_probability", "-", "%", order=RISK),
+    Quantity(
+        "regions", "failure_risk", "-", digits=4, order=ORDER_OF_RISK, peak=True, headline=True
+    ),
+    Quantity("regions", "failure_probability", "-", "%", order=ORDER_OF_RISK),
 )
 add_section(
     NumberSection(
@@ -111,11 +113,11 @@ add_section(
         "1/year",
         digits=4,
         label="damage, p99",
-        order=RISK,
+        order=ORDER_OF_RISK,
         headline=True,
     ),
     Quantity("fatigue", "damage_max", "1/year", digits=4, label="damage, max", peak=True),
-    Quantity("fatigue", "stress_p99", "MPa", label="equivalent stress, p99", order=STRESS),
+    Quantity("fatigue", "stress_p99", "MPa", label="equivalent stress, p99", order=ORDER_OF_STRESS),
 )
 add_section(
     NumberSection(
@@ -136,7 +138,7 @@ add_section(
         "MPa",
         digits=1,
         label="largest axial stress at the level of the resin",
-        order=STRESS,
+        order=ORDER_OF_STRESS,
         headline=True,
     ),
     Quantity(
@@ -145,7 +147,7 @@ add_section(
         "MPa",
         digits=1,
         label="tension above the resin, p99",
-        order=STRESS,
+        order=ORDER_OF_STRESS,
         headline=True,
     ),
     Quantity(
@@ -162,7 +164,7 @@ add_section(
         "mm",
         digits=3,
         label="deflection of the head along the force",
-        order=MOTION,
+        order=ORDER_OF_MOTION,
         headline=True,
     ),
     Quantity("stem_test", "life_median", "-", digits=0, label="cycles to failure, median"),

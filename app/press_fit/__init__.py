@@ -11,7 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from app.case.case import Case
-from app.case.quantities import STRESS, TRACTION, Quantity, add_quantity
+from app.case.quantities import ORDER_OF_STRESS, ORDER_OF_TRACTION, Quantity, add_quantity
 from app.press_fit import findings as findings  # registers its checks
 from app.results.records import Followed, add_record
 
@@ -37,14 +37,14 @@ add_quantity(
         "insertion_pressure_mean",
         "MPa",
         label="pressure after the insertion, mean",
-        order=TRACTION,
+        order=ORDER_OF_TRACTION,
         on_page=True,
     ),
     _interface(
         "insertion_pressure_p95",
         "MPa",
         label="pressure after the insertion, p95",
-        order=TRACTION,
+        order=ORDER_OF_TRACTION,
         on_page=True,
     ),
     _interface(
@@ -60,7 +60,7 @@ add_quantity(
         "um/m",
         0,
         label="hoop strain after the insertion, p99",
-        order=STRESS,
+        order=ORDER_OF_STRESS,
         on_page=True,
     ),
     _region(

@@ -37,14 +37,14 @@ import numpy as np
 from app.case.case import Case
 from app.case.quantities import (
     ADDED,
-    DOSE,
-    HEAT,
-    MOTION,
-    RISK,
-    SLIP,
-    STRESS,
+    ORDER_OF_DOSE,
+    ORDER_OF_HEAT,
+    ORDER_OF_MOTION,
+    ORDER_OF_RISK,
+    ORDER_OF_SLIP,
+    ORDER_OF_STRESS,
+    ORDER_OF_TRACTION,
     TABLE,
-    TRACTION,
     numbers_of,
 )
 from app.case.summary import Numbers, Summary
@@ -65,18 +65,22 @@ SMALL = 0.01
 LEAST = 1.25
 # Factors a and b at first and at second order, by the orders of convergence of a class.
 FACTORS = {
-    MOTION: ((2.8, 6.0), (0.7, 0.8)),
-    SLIP: ((3.6, 7.0), (0.35, 1.75)),
-    TRACTION: ((2.0, 1.4), (0.6, 1.05)),
-    STRESS: ((3.8, 3.0), (1.8, 0.2)),
-    RISK: ((3.8, 3.0), (1.8, 0.2)),
-    HEAT: ((3.0, 0.0), (3.0, 0.0)),
-    DOSE: ((5.0, 1.5), (5.0, 1.5)),
+    ORDER_OF_MOTION: ((2.8, 6.0), (0.7, 0.8)),
+    ORDER_OF_SLIP: ((3.6, 7.0), (0.35, 1.75)),
+    ORDER_OF_TRACTION: ((2.0, 1.4), (0.6, 1.05)),
+    ORDER_OF_STRESS: ((3.8, 3.0), (1.8, 0.2)),
+    ORDER_OF_RISK: ((3.8, 3.0), (1.8, 0.2)),
+    ORDER_OF_HEAT: ((3.0, 0.0), (3.0, 0.0)),
+    ORDER_OF_DOSE: ((5.0, 1.5), (5.0, 1.5)),
 }
 # Factors on the changes to two coarser meshes, the finer one first, of classes that use both.
-TWO_MESHES = {HEAT: (1.75, 1.25)}
+TWO_MESHES = {ORDER_OF_HEAT: (1.75, 1.25)}
 # Classes that share their median change.
-LIKE = {SLIP: MOTION, TRACTION: MOTION, STRESS: MOTION}
+LIKE = {
+    ORDER_OF_SLIP: ORDER_OF_MOTION,
+    ORDER_OF_TRACTION: ORDER_OF_MOTION,
+    ORDER_OF_STRESS: ORDER_OF_MOTION,
+}
 # Share of the numbers of a hip whose true error is below the estimate, at first and second order.
 SHARE_WITHIN_ERROR = (0.92, 0.91)
 # Sections in which two meshes may agree by chance.
@@ -277,7 +281,7 @@ def _add_zone_errors(run: Summary, order: int, solved: Solved) -> None:
             for companion, companion_summary in solved
         ]
         for name, at_interface in numbers["interfaces"].items():
-            orders = {k: MOTION for k in at_interface if k.endswith("_mean")}
+            orders = {k: ORDER_OF_MOTION for k in at_interface if k.endswith("_mean")}
             relatives = [
                 (companion, companion_summary.get("interfaces", {}).get(name, {}))
                 for companion, companion_summary in companion_numbers
@@ -288,7 +292,9 @@ def _add_zone_errors(run: Summary, order: int, solved: Solved) -> None:
             (companion, companion_summary.get("strain_energy_density", {}))
             for companion, companion_summary in companion_numbers
         ]
-        errors = {region: _error(region, STRESS, order, density, relatives) for region in density}
+        errors = {
+            region: _error(region, ORDER_OF_STRESS, order, density, relatives) for region in density
+        }
         known_errors = {
             region: error for region, error in errors.items() if isinstance(error, float)
         }

@@ -96,7 +96,8 @@ def judge(case: Case, parts: Parts) -> list[Verdict]:
         errors = [v for v in verdicts if v.severity is Severity.ERROR]
         if errors:
             # Notes are shown, too: the reason is often a crack in the mesh.
-            raise InputError([*errors, *(v for v in verdicts if v not in errors)])
+            notes = [v for v in verdicts if v.severity is not Severity.ERROR]
+            raise InputError([*errors, *notes])
     return verdicts
 
 
@@ -181,7 +182,7 @@ def _rotations_not_given(case: Case, parts: Parts) -> Iterator[Verdict]:
 
 
 def _motions_with_supports_or_loads(case: Case, parts: Parts) -> Iterator[Verdict]:
-    """Errors on rotating regions with supports, notes on loads of regions with prescribed motion."""
+    """Errors on rotating regions with supports, notes on loads of prescribed motions."""
     for name, motion in case.motions.items():
         pieces_of_region = {
             k for k, piece in enumerate(parts.pieces) if piece.region == motion.region
