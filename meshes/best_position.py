@@ -305,8 +305,8 @@ def _search(geometry: SearchedHip, insertion: SearchedInsertion) -> tuple[list[f
         raise GeometryError(
             "geometry.insertion: no position within the limits of the search leaves"
             f" {geometry.least_room:g} mm around the stem; the best ({position_text}) {shortfall}"
-            f" {fit_after.side} at {placement.where(fit_after.place)}; ream the canal, use a"
-            " smaller or shorter stem, or widen insertion.best"
+            f" {fit_after.side} at {placement.point_in_words(fit_after.place)}; ream the canal, "
+            "use a smaller or shorter stem, or widen insertion.best"
         )
     gain = (
         f"{fit_after.words(placement)},"

@@ -169,7 +169,7 @@ class TableLayers:
             crossings = ((inside[1:] > 0) != (inside[:-1] > 0)).sum(axis=0)
             crossing_lines = np.flatnonzero(crossings > 1)
             if len(crossing_lines):
-                x = placement.where(start[crossing_lines[0]])
+                x = placement.point_in_words(start[crossing_lines[0]])
                 raise GeometryError(
                     f"geometry: a line across the bone from {x} meets the {name} more than once;"
                     " move or rotate the stem, or smooth the surface there"

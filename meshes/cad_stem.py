@@ -282,7 +282,7 @@ class CadStem:
         try:
             return outline(self._x, origin, plane)
         except ValueError:
-            location = self._placement.where(self._placement.to_model(origin))
+            location = self._placement.point_in_words(self._placement.to_model(origin))
             raise GeometryError(
                 f"geometry.stem: around {location}, rays from the stem's axis meet its surface more"
                 " than once. Is there a collar, or does the neck leave the body below the neck"

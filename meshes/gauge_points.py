@@ -113,7 +113,7 @@ def gauge_points(
     if towards is None:
         facet, barycentric = _nearest(x, given_point)
     else:
-        facet, barycentric = _seen(x, given_point, np.asarray(towards, dtype=float))
+        facet, barycentric = _last_hit(x, given_point, np.asarray(towards, dtype=float))
     centre = _places(x[facet], barycentric)
     normal = _normals(x[[facet]], barycentric[None])[0]
     radius, angle, weight = _disc(diameter / 2)
@@ -349,7 +349,7 @@ def _take_nearer(
     least_distance[nearer], nearest_coordinates[nearer] = distance[nearer], barycentric[nearer]
 
 
-def _seen(x: Floats, point: Floats, towards: Floats) -> tuple[int, Floats]:
+def _last_hit(x: Floats, point: Floats, towards: Floats) -> tuple[int, Floats]:
     """Facet and coordinates (3,) at which a line of sight leaves a surface for the last time.
 
     Raises:

@@ -415,7 +415,7 @@ class LayeredSurfaces:
         x = self._placement.to_model(x)
         offset = x - self._placement.to_model([0.0, 0.0, zeta])
         side = SIDES[round(8 * np.arctan2(offset[1], offset[0]) / (2 * np.pi)) % 8]
-        return f"{side} at {self._placement.where(x)}"
+        return f"{side} at {self._placement.point_in_words(x)}"
 
     def _refuse(self) -> None:
         """Raise GeometryError where the stem has no room for cement, or leaves too little bone."""

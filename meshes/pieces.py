@@ -94,7 +94,7 @@ class Touch:
 
 
 @dataclass(frozen=True)
-class Parts:
+class MeshPieces:
     """Pieces of a mesh and their contacts.
 
     Attributes:
@@ -130,16 +130,20 @@ class Parts:
         return interface_nodes(self.data, name, self.faces)
 
 
-def parts(
+def pieces_of_mesh(
     data: MeshData,
-    held: Collection[str] = (),
-    curved: Collection[str] = (),
-    apart: Mapping[str, tuple[str, str]] | None = None,
-) -> Parts:
+    supported: Collection[str] = (),
+    with_normals: Collection[str] = (),
+    meshed_apart: Mapping[str, tuple[str, str]] | None = None,
+) -> MeshPieces:
     """Connected pieces of a mesh, their contacts and boundaries.
 
-    ``held`` are the boundaries with supports, ``curved`` those whose normals are wanted, ``apart``
-    the two of each interface that is meshed apart: the smaller one touches the other.
+    Args:
+        data: The mesh.
+        supported: Boundaries with supports.
+        with_normals: Boundaries whose normals are computed.
+        meshed_apart: Both boundaries of each interface that is meshed apart. The smaller one
+            touches the other.
     """
     name_of_tag = {tag: name for name, tag in data.regions.items()}
     piece = components(data.neighbours, data.cell_tags)
@@ -157,7 +161,7 @@ def parts(
     cell_of_facet = np.where(exterior, cell[outside[outside_rows]], -1)
     piece_of_facet = np.where(exterior, piece[cell_of_facet], -1)
     is_free = piece_of_face != piece_behind
-    tags = [t for name in held for t in data.boundaries.get(name, ())]
+    tags = [t for name in supported for t in data.boundaries.get(name, ())]
     is_free[outside[np.isin(keys, tagged_keys[np.isin(data.facet_tags, tags)])]] = False
     areas, free = (
         np.bincount(piece_of_face[mask], facet_areas(data.points, faces[mask]), minlength=count)
@@ -178,17 +182,17 @@ def parts(
         )
     rows = np.flatnonzero(piece_of_face < piece_behind)
     touches = _touches(data.points, faces[rows], piece_of_face[rows], piece_behind[rows])
-    for sides in (apart or {}).values():
+    for sides in (meshed_apart or {}).values():
         touches += _facing(data, sides, piece_of_facet)
-    return Parts(
+    return MeshPieces(
         data=data,
         pieces=tuple(pieces),
         touches=tuple(touches),
         joined=_joined(data.cells, piece, pieces),
         boundaries={name: _nodes_on(data, name, piece_of_facet) for name in data.boundaries},
-        normals={name: _normals(data, name, cell_of_facet, middles) for name in curved},
+        normals={name: _normals(data, name, cell_of_facet, middles) for name in with_normals},
         doubled=_doubled(data, piece, pieces),
-        faces=apart or {},
+        faces=meshed_apart or {},
     )
 
 
@@ -302,7 +306,7 @@ def _doubled(
     return {region_pair: np.array(x) for region_pair, x in places.items()}
 
 
-def lying(data: MeshData) -> dict[tuple[str, str], tuple[float, Floats]]:
+def touching_without_shared_nodes(data: MeshData) -> dict[tuple[str, str], tuple[float, Floats]]:
     """Faces of two bodies that lie on each other and share no node.
 
     A facet lies on another body if its middle is within a facet of that body with the opposite

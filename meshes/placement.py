@@ -73,7 +73,7 @@ class Placement:
         x, y, z = self.rotation[:, 2]
         return math.hypot(x, y) / float(z)
 
-    def where(self, x: Floats) -> str:
+    def point_in_words(self, x: Floats) -> str:
         """A point of the model (3,) in words."""
         below = round(float(self.normal @ (self.foot - x)) / self.normal[2])
         side = "above" if below < 0 else "below"
@@ -298,7 +298,7 @@ def position(geometry: StemInBone) -> Position:
     return Position(geometry.shoulder_depth, *tilts, version, *offsets)
 
 
-def place(geometry: StemInBone) -> Placement:
+def placement_of(geometry: StemInBone) -> Placement:
     """Cut the neck of a bone and place the stem in it.
 
     Raises:

@@ -159,14 +159,16 @@ def untangle(points: Floats, cells: Ints, spared: float = 0.0) -> Floats:
         The nodes (n, 3), vertices unchanged [mm].
     """
     chord = straightened(points, cells)
-    least = np.minimum(POOR, 0.85 * sicn(points, cells[:, :4]))
+    required_quality = np.minimum(POOR, 0.85 * sicn(points, cells[:, :4]))
     bend = np.ones((len(points), 1))
     size = np.linalg.norm(points - chord, axis=1)
     changed_cells: Ints = np.arange(len(cells))  # cells whose nodes have moved
     # It ends: a bad cell has a bent edge, and its edges get straight.
     for step in count():
         current = chord + bend * (points - chord)
-        bad_cells = changed_cells[sicn(current, cells[changed_cells]) < least[changed_cells]]
+        bad_cells = changed_cells[
+            sicn(current, cells[changed_cells]) < required_quality[changed_cells]
+        ]
         if not len(bad_cells):
             break
         is_moved = np.zeros(len(points), dtype=bool)
@@ -177,7 +179,7 @@ def untangle(points: Floats, cells: Ints, spared: float = 0.0) -> Floats:
     return np.asarray(current)
 
 
-def stubby(points: Floats, cells: Ints) -> Floats:
+def quality_without_length(points: Floats, cells: Ints) -> Floats:
     """SICN of cells (m,) that may be long along z: the best of those with their length reduced."""
     scaled_quality = [
         sicn(points * [1.0, 1.0, length_factor], cells) for length_factor in (1.0, *LENGTH_FACTORS)
@@ -188,7 +190,7 @@ def stubby(points: Floats, cells: Ints) -> Floats:
 def _poor(points: Floats, cells: Ints, quality: Floats) -> Ints:
     """Cells that are poor, and not only long along z (k,)."""
     poor = np.flatnonzero(quality < POOR)
-    return poor[stubby(points, cells[poor]) < POOR]
+    return poor[quality_without_length(points, cells[poor]) < POOR]
 
 
 def relaxed(points: Floats, cells: Ints, free: Bools, digits: int) -> Floats:

@@ -242,7 +242,7 @@ class Fit:
 
     def words(self, placement: Placement) -> str:
         """The least room with its place."""
-        location = f"{self.side} at {placement.where(self.place)}"
+        location = f"{self.side} at {placement.point_in_words(self.place)}"
         if self.least < 0:
             return f"none: the stem cuts {-self.least:.2f} mm into the cortex {location}"
         return f"at least {self.least:.2f} mm, {location}"

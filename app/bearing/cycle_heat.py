@@ -64,16 +64,16 @@ class CycleHeat(Record):
         return state
 
     def before(self, on_step: OnStep) -> OnStep:
-        """Return a hook that takes in each step of the mechanics, then calls ``on_step``."""
+        """Return a hook that records each step of the mechanics, then calls ``on_step``."""
 
-        def taken(step: LoadStep, trial: TrialState | None) -> None:
+        def record_step(step: LoadStep, trial: TrialState | None) -> None:
             stage = self._scene.stages[math.ceil(step.time) - 1]
             if trial is not None and not stage.takes_time:
                 self._take(stage, step, trial)
             self.time = step.time
             on_step(step, trial)
 
-        return taken
+        return record_step
 
     def _take(self, stage: Stage, step: LoadStep, trial: TrialState) -> None:
         pressure, dissipation = trial.law.pressures[:, 0], self._contact.state.dissipation
@@ -137,15 +137,19 @@ class CycleHeat(Record):
         of_interface = points.interface == i  # in the order of the vertices
         weight = points.weight[of_interface]
         surface = self._finite_sliding.followers.sides[i][0].smooth
-        m, n = len(master.dofs), len(slave.dofs)
-        least, slope, largest = c.law.conductances
-        heat, X = np.zeros(m + n), sparse.csr_array((m + n, m + n))
+        master_count, slave_count = len(master.dofs), len(slave.dofs)
+        open_conductance, per_pressure, largest = c.law.conductances
+        node_count = master_count + slave_count
+        heat, X = np.zeros(node_count), sparse.csr_array((node_count, node_count))
         for state in self.cycle:
             cycle_part, *place, pressure, dissipation = self._contact.gather(state)[of_interface].T
             pairs = mortar(np.column_stack(place), slave.triangles, surface)
-            Π = sparse.csr_array((pairs.values, (pairs.rows, pairs.columns)), shape=(n, m))
-            E = sparse.hstack([-Π, sparse.eye_array(n)], format="csr")
-            h = np.minimum(least + slope * np.maximum(pressure, 0.0), largest) * pairs.covered
+            Π = sparse.csr_array(
+                (pairs.values, (pairs.rows, pairs.columns)), shape=(slave_count, master_count)
+            )
+            E = sparse.hstack([-Π, sparse.eye_array(slave_count)], format="csr")
+            conductance = open_conductance + per_pressure * np.maximum(pressure, 0.0)
+            h = np.minimum(conductance, largest) * pairs.covered
             X += E.T @ sparse.diags_array(cycle_part * h * weight) @ E
             into_master, into_slave = friction_heat(
                 dissipation / (self._scene.period or 1.0), c.slave_share

@@ -105,13 +105,13 @@ class Bearings(Record):
         self.stage = ""
 
     def before(self, on_step: OnStep) -> OnStep:
-        """Return a hook that takes in each step of the mechanics, then calls ``on_step``.
+        """Return a hook that records each step of the mechanics, then calls ``on_step``.
 
         While heat flows, the numbers of the last cycle stay.
         """
         swapped = [c.swapped for c in self._scene.contacts]
 
-        def taken(step: LoadStep, trial: TrialState | None) -> None:
+        def record_step(step: LoadStep, trial: TrialState | None) -> None:
             stage = self._scene.stages[math.ceil(step.time) - 1]
             if trial is not None and not stage.takes_time:
                 self.stage = stage.name
@@ -120,7 +120,7 @@ class Bearings(Record):
                     bearing.update(samples, stage, step.time, step.ends_increment)
             on_step(step, trial)
 
-        return taken
+        return record_step
 
     def numbers(self) -> Summary:
         """Numbers of the interfaces, and the change from cycle to cycle in a stage."""
@@ -213,20 +213,22 @@ class Bearing:
         points, nodes = np.arange(len(self._rows)), np.arange(len(self.dof))
         return {"uncovered": points, "slave_amounts": points, "master_amounts": nodes}
 
-    def update(self, s: Samples, stage: Stage, time: float, whole: bool) -> None:
-        """Take in a step at its end, which may be the end of a ``whole`` increment; collective."""
+    def update(self, samples: Samples, stage: Stage, time: float, ends_increment: bool) -> None:
+        """Record a step at its end, ``ends_increment`` if an increment ends, too; collective."""
         scene, rows, motion = self._problem.scene, self._rows, self._motion
         if math.ceil(time) > math.ceil(self.time):
             self.cycle_start, self.cycle_rows, self.last_cycles = 0.0, [], []
         rotation_before, mid_rotation, rotation = (
             scene.rotation(motion, t) for t in (self.time, (self.time + time) / 2, time)
         )
-        arm, rotated = s.arm[rows], rotation_vector(rotation @ rotation_before.T)
-        torque = np.cross(arm, self._weight[:, None] * s.friction[rows]).sum(axis=0)
-        centre, peak = self._translation(), rows[int(np.argmax(s.pressure[rows]))]
+        arm, rotated = samples.arm[rows], rotation_vector(rotation @ rotation_before.T)
+        torque = np.cross(arm, self._weight[:, None] * samples.friction[rows]).sum(axis=0)
+        centre, peak = self._translation(), rows[int(np.argmax(samples.pressure[rows]))]
         if motion and np.isfinite(scene.moduli[motion.region]):  # deforms in the axes of the body
             centre = rotation @ centre
-        dissipation_and_path = np.column_stack([s.dissipation[rows], self._weight * s.path[rows]])
+        dissipation_and_path = np.column_stack(
+            [samples.dissipation[rows], self._weight * samples.path[rows]]
+        )
         dose = (dissipation_and_path - self.slave_amounts[:, 0]) / self._slave.areas[:, None]
         slave_samples = self._slave.sample_density(dose, SAMPLES, arm @ mid_rotation + self._centre)
         self.master_amounts[:, 0] += self.surface.deposit(*slave_samples)
@@ -239,8 +241,8 @@ class Bearing:
         self.numbers = {
             "centre": [float(v) for v in centre],
             "eccentricity": float(np.linalg.norm(centre)),
-            "force": [float(v) for v in self._weight @ s.force[rows]],
-            "pressure_max_at": [float(v) for v in s.x[peak]],
+            "force": [float(v) for v in self._weight @ samples.force[rows]],
+            "pressure_max_at": [float(v) for v in samples.x[peak]],
         }
         if motion:
             axis = rotated / (np.linalg.norm(rotated) or 1.0)
@@ -253,7 +255,7 @@ class Bearing:
         energy = self.master_amounts[:, 0, 0].sum()
         row = (phase - self.cycle_start, *torque, *centre, energy)
         self.cycle_rows.append([float(v) for v in row])
-        reversal = stage.reversal(time) if whole else 0
+        reversal = stage.reversal(time) if ends_increment else 0
         if reversal and (reversal % 2 or stage.load_segments == stage.cycles):
             self.slave_amounts[:, 2] = dissipation_and_path - self.slave_amounts[:, 1]
             self.slave_amounts[:, 1] = dissipation_and_path
@@ -292,11 +294,11 @@ class Bearing:
 
         Both in mm.
         """
-        (energy, slid), (energy_there, slid_there) = (amounts.T for amounts in self._per_area())
-        fields, law = {"slid": (slid, slid_there)}, self._interface.law
+        (energy, slid), (master_energy, master_slid) = (amounts.T for amounts in self._per_area())
+        fields, law = {"slid": (slid, master_slid)}, self._interface.law
         k = wear_coefficient_of(law)
         if k is not None:
-            fields["wear"] = k / law.friction * energy, k / law.friction * energy_there
+            fields["wear"] = k / law.friction * energy, k / law.friction * master_energy
         return fields
 
     def cycle(self) -> dict[str, float]:

@@ -94,5 +94,8 @@ def _meshed(gmsh: ModuleType, radius: float, size: float, mesh: MeshKeys) -> Bod
 
 def _rotation(inclination: float, version: float) -> Floats:
     """Rotation (3, 3) that lays z along the cup's pole."""
-    c, s, d, t = (f(a) for a in (inclination, version) for f in (math.cos, math.sin))
-    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ [[1, 0, 0], [0, d, -t], [0, t, d]]
+    cos_i, sin_i = math.cos(inclination), math.sin(inclination)
+    cos_v, sin_v = math.cos(version), math.sin(version)
+    about_y = np.array([[cos_i, 0, sin_i], [0, 1, 0], [-sin_i, 0, cos_i]])
+    about_x = np.array([[1, 0, 0], [0, cos_v, -sin_v], [0, sin_v, cos_v]])
+    return about_y @ about_x

@@ -230,7 +230,7 @@ def record(
     folder: Path,
     runs: Sequence[FitRun],
     outcome: Outcome,
-    known: Identifiability | None,
+    identifiability: Identifiability | None,
     verdicts: Sequence[Verdict],
 ) -> FitRecord:
     """Content of ``fit.json``.
@@ -240,7 +240,8 @@ def record(
         folder: Its folder.
         runs: All runs in their order.
         outcome: Result of the search.
-        known: Uncertainties of the keys from the targets; None without targets or derivatives.
+        identifiability: Uncertainties of the keys from the targets; None without targets or
+            derivatives.
         verdicts: Verdicts on the result.
     """
     fit, best_run = problem.fit, outcome.best
@@ -261,11 +262,15 @@ def record(
         "best": best_run.name,
         "command": f"mantle run {shlex.quote(str(problem.base))} {override_options}",
         "misfit": best_run.misfit if fit.targets else None,
-        "keys": _key_rows(problem, best_run, known),
+        "keys": _key_rows(problem, best_run, identifiability),
         "numbers": _number_rows(problem, best_run, outcome.derivatives),
-        "correlation": [_plain(row) for row in known.correlation] if known else [],
-        "covariance": [_floats(row) for row in known.covariance] if known else [],
-        "singular_values": _floats(known.singular_values) if known else [],
+        "correlation": [_plain(row) for row in identifiability.correlation]
+        if identifiability
+        else [],
+        "covariance": [_floats(row) for row in identifiability.covariance]
+        if identifiability
+        else [],
+        "singular_values": _floats(identifiability.singular_values) if identifiability else [],
         "verdicts": [verdict.record() for verdict in verdicts],
         "runs": [_run_row(problem, run, folder) for run in runs],
     }

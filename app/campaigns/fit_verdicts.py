@@ -24,16 +24,22 @@ ROUNDING = 1e-6
 
 
 def verdicts(
-    problem: FitProblem, runs: Sequence[FitRun], outcome: Outcome, known: Identifiability | None
+    problem: FitProblem,
+    runs: Sequence[FitRun],
+    outcome: Outcome,
+    identifiability: Identifiability | None,
 ) -> list[Verdict]:
     """Return the verdicts on runs, keys and their uncertainty, and targets or constraints."""
-    all_verdicts = [*_of_runs(problem, runs, outcome), *_of_keys(problem, outcome.best, known)]
+    all_verdicts = [
+        *_of_runs(problem, runs, outcome),
+        *_of_keys(problem, outcome.best, identifiability),
+    ]
     if problem.fit.targets:
         all_verdicts += _of_targets(problem, outcome.best)
     else:
         all_verdicts += _of_constraints(problem, outcome.best)
-    if known is not None:
-        all_verdicts += _of_knowledge(problem, known)
+    if identifiability is not None:
+        all_verdicts += _of_knowledge(problem, identifiability)
     elif outcome.derivatives is not None:
         all_verdicts += _of_influence(problem, outcome.derivatives, outcome.best)
     return all_verdicts

@@ -395,4 +395,4 @@ def _renew() -> None:
         Case.model_rebuild(force=True)
 
 
-section.RENEWALS.append(_renew)
+section.ON_NEW_KIND.append(_renew)

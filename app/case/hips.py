@@ -28,7 +28,7 @@ from app.laws.values import ROUNDING
 from app.schema.section import Section, fail
 from app.schema.units import Angle, Dimension, Length, PositiveLength
 from app.system import folders
-from meshes.placement import InsertionKeys, Placement, ResectionKeys, head_in_words, place
+from meshes.placement import InsertionKeys, Placement, ResectionKeys, head_in_words, placement_of
 
 # `best_position` and `room` are imported where they are used: scipy takes 0.15 s.
 if TYPE_CHECKING:
@@ -238,7 +238,7 @@ class Hip(Shape):
     @property
     def placement(self) -> Placement:
         """Cut and stem in the model's axes."""
-        return place(self)
+        return placement_of(self)
 
     @property
     def cut_height(self) -> float:

@@ -13,7 +13,7 @@ from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
 from app.case.case import Case
-from app.schema.section import TAG, docstrings
+from app.schema.section import UNION_TAG, docstrings
 from app.schema.units import bounds_in_words
 
 Schema = dict[str, Any]
@@ -28,7 +28,7 @@ class _Generator(GenerateJsonSchema):
     def default_schema(self, schema: core_schema.WithDefaultSchema) -> JsonSchemaValue:
         inner: Any = schema["schema"]
         choices = inner["choices"] if inner["type"] == "tagged-union" else {}
-        writer = choices.get(f"{TAG}uniform", inner).get("serialization", {})
+        writer = choices.get(f"{UNION_TAG}uniform", inner).get("serialization", {})
         default = schema.get("default")
         if default is not None and writer.get("type") == "function-plain":
             schema = {**schema, "default": writer["function"](default)}

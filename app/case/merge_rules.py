@@ -228,7 +228,7 @@ def _vector(force: object) -> list[float]:
     Raises:
         PydanticCustomError: It is none.
     """
-    return [FORCE.read(value) for value in Triple("").spread(force)]  # type: ignore[attr-defined]
+    return [FORCE.read(value) for value in Triple("").entries(force)]  # type: ignore[attr-defined]
 
 
 def _scaled_loads(

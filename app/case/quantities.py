@@ -936,13 +936,13 @@ def numbers_of(
 ) -> Iterator[tuple[str, str, Numbers]]:
     """Section, owner (with ``parts`` also ``stem_cement_rim``) and numbers in a summary."""
     for section in TABLE:
-        section_content: Any = reduce(
+        section_numbers: Any = reduce(
             lambda part, key: part.get(key, {}), section.split("."), summary
         )
-        named: Numbers = (
-            {section: section_content} if section in SECTIONS_WITHOUT_OWNER else section_content
+        numbers_by_owner: Numbers = (
+            {section: section_numbers} if section in SECTIONS_WITHOUT_OWNER else section_numbers
         )
-        for name, numbers in named.items():
+        for name, numbers in numbers_by_owner.items():
             if numbers:
                 yield section, name, numbers
             listed_parts = [part for part in PARTS if parts and part in numbers]
@@ -969,6 +969,6 @@ def read(summary: Mapping[str, Any], name: str, suffix: str = "") -> float | Non
     return None
 
 
-def computed(section: str, state: object, of: object) -> dict[str, float]:
+def computed(section: str, samples: object, target: object) -> dict[str, float]:
     """Added numbers of an interface or a region (`Quantity.compute`)."""
-    return {q.key: float(q.compute(state, of)) for q in TABLE[section].values() if q.compute}
+    return {q.key: float(q.compute(samples, target)) for q in TABLE[section].values() if q.compute}

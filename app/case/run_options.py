@@ -70,7 +70,7 @@ class Stage(Section):
     def _one_end(self) -> Stage:
         if self.steady and self.duration is not None:
             fail("a steady stage has no duration; leave one of the two out", at=("duration",))
-        if self.cycles > 1 and (self.takes_time or self.other):
+        if self.cycles > 1 and (self.takes_time or self.extension_kind):
             fail(
                 "a stage with a duration cannot have cycles; use a stage without duration",
                 at=("cycles",),
@@ -80,9 +80,9 @@ class Stage(Section):
                 "a stage with a duration cannot control the fracture energy; leave one out",
                 at=("fracture_step",),
             )
-        if self.takes_time and self.other:
+        if self.takes_time and self.extension_kind:
             message = "is the time of the stage; leave `duration` and `steady` out"
-            fail(message, at=(self.other.key,))
+            fail(message, at=(self.extension_kind.key,))
         if self.creep_cycles and self.creep_time:
             fail("a stage has `creep_cycles` or `creep_time`; leave one out", at=("creep_time",))
         if self.creep and (self.takes_time or self.cycles > 1):
@@ -93,8 +93,8 @@ class Stage(Section):
         return self
 
     @property
-    def other(self) -> StageKind | None:
-        """The kind of the stage if another package steps through it."""
+    def extension_kind(self) -> StageKind | None:
+        """Kind of the stage if another package solves it, else None."""
         return next((kind for kind in STAGE_KINDS if self.added(kind.key, float)), None)
 
     @property

@@ -19,7 +19,7 @@ from pydantic import (
 )
 
 from app.foundation.verdict import Verdict
-from app.schema.section import TAG, Extensible, Scalar, Section, Truth, fail
+from app.schema.section import UNION_TAG, Extensible, Scalar, Section, Truth, fail
 from app.schema.units import Dimension, Plain, PositiveLength
 
 if TYPE_CHECKING:
@@ -133,9 +133,11 @@ def _mean(table: list[tuple[float, float]]) -> float:
 
 
 Thickness = Annotated[
-    Annotated[float, _UNIFORM, Tag(TAG + "uniform")]
-    | Annotated[GradedThickness, Tag(TAG + "graded")],
-    Discriminator(lambda t: TAG + ("graded" if isinstance(t, dict | BaseModel) else "uniform")),
+    Annotated[float, _UNIFORM, Tag(UNION_TAG + "uniform")]
+    | Annotated[GradedThickness, Tag(UNION_TAG + "graded")],
+    Discriminator(
+        lambda t: UNION_TAG + ("graded" if isinstance(t, dict | BaseModel) else "uniform")
+    ),
 ]
 
 

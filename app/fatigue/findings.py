@@ -65,7 +65,7 @@ def _head(case: Case) -> Iterable[Fault]:
     """Test without a load on the boundary of the head."""
     test = stem_test_of(case)
     assert test
-    loaded_boundaries = [load.place[1] for load in case.loads.values() if load]
+    loaded_boundaries = [load.form_key[1] for load in case.loads.values() if load]
     if test.head not in loaded_boundaries:
         listed_boundaries = (
             ", ".join(sorted({place for place in loaded_boundaries if place})) or "none"

@@ -164,22 +164,25 @@ class Fatigue(Section):
     goodman: Modulus | None = None
     """Strength at which Goodman's line ends; without it the mean stress does not count."""
 
-    def equivalent(self, law: FatigueLaw, most: Floats, least: Floats) -> Floats:
-        r"""Largest stress s of the cycle of a law that does the damage of a cycle [MPa].
+    def equivalent(
+        self, law: FatigueLaw, largest_tension: Floats, smallest_tension: Floats
+    ) -> Floats:
+        r"""Largest stress s of the law's cycle that causes the same damage as a given cycle [MPa].
 
         Both cycles have the same amplitude where Goodman's line takes them to no mean stress,
 
         .. math:: \frac{s (1 - R) / 2}{1 - s (1 + R) / 2 S} = \frac{a}{1 - m / S}
 
         with R the ratio of the law, a amplitude and m mean of the cycle and S the strength. Without
-        Goodman's rule S is infinite, and s (1 - R) is the range. ``most`` and ``least`` are the
-        tensions of the cycle, not negative [MPa].
+        Goodman's rule S is infinite, and s (1 - R) is the range. ``largest_tension`` and
+        ``smallest_tension`` of the given cycle are not negative [MPa].
         """
         strength = self.goodman or float("inf")
-        left = 1.0 - (most + least) / 2 / strength
-        range_ = most - least
-        below = (1.0 - law.ratio) * (left * (left > 0)) + range_ * (1.0 + law.ratio) / 2 / strength
-        return np.asarray(range_ / (below + (below == 0)))
+        goodman_factor = 1.0 - (largest_tension + smallest_tension) / 2 / strength
+        range_ = largest_tension - smallest_tension
+        denominator = (1.0 - law.ratio) * (goodman_factor * (goodman_factor > 0))
+        denominator += range_ * (1.0 + law.ratio) / 2 / strength
+        return np.asarray(range_ / (denominator + (denominator == 0)))
 
 
 class StemTest(Section):

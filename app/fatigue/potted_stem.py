@@ -41,7 +41,7 @@ class PottedStem(Record):
         self._stresses = Stresses(followed.problem, fine=[test.region])
         facets = bodies.boundary_facets(followed.problem.tagged, test.head)
         self._head = facet_surface(followed.problem, facets)
-        loads = [load for load in case.loads.values() if load.place[1] == test.head]
+        loads = [load for load in case.loads.values() if load.form_key[1] == test.head]
         self._force = np.sum([getattr(load, "force", (0.0, 0.0, 0.0)) for load in loads], axis=0)
         load_points = [getattr(load, "at", None) for load in loads]
         points = [at for at in load_points if at is not None]

@@ -57,20 +57,20 @@ class CementRisk(Record):
         self._fatigue = fatigue
         self._stages = case.stages
         self._borders = borders
-        self._tires = fatigue.region if fatigue else ""
+        self._fatigue_region = fatigue.region if fatigue else ""
         self._tagged = problem.tagged
         self._comm = problem.comm
         self._weibull = weibull_of(case)
-        self._stresses = Stresses(problem, fine={*self._weibull, self._tires} - {""})
+        self._stresses = Stresses(problem, fine={*self._weibull, self._fatigue_region} - {""})
         self._parts: dict[str, dict[str, Bools]] = {}
         laws = fatigue.laws if fatigue else ()
         original_cells = problem.tagged.mesh.topology.original_cell_index
         cell_numbers = (
-            original_cells[self._stresses.cells[self._tires]]
+            original_cells[self._stresses.cells[self._fatigue_region]]
             if laws
             else np.zeros(0, dtype=np.int64)
         )
-        points_per_cell = len(self._stresses.shares[self._tires]) if laws else 1
+        points_per_cell = len(self._stresses.shares[self._fatigue_region]) if laws else 1
         self.row_keys: Ints = (
             cell_numbers[:, None] * points_per_cell + np.arange(points_per_cell)
         ).ravel()
@@ -89,43 +89,43 @@ class CementRisk(Record):
     # Fatigue
 
     def before(self, on_step: OnStep) -> OnStep:
-        """A hook of steps, with what tires taken up before it."""
+        """Return a hook that records the fatigue of a step, then calls ``on_step``."""
 
-        def step(done: LoadStep, trial: TrialState | None) -> None:
-            stage = self._stages[math.ceil(done.time) - 1]
-            reversal = stage.reversal(done.time)
+        def record(step: LoadStep, trial: TrialState | None) -> None:
+            stage = self._stages[math.ceil(step.time) - 1]
+            reversal = stage.reversal(step.time)
             if (
                 self._fatigue
                 and reversal
                 and (reversal == stage.load_segments or reversal % 2 == 0)
             ):
-                stress = self._stresses.evaluate(self._tires).reshape(-1, 3, 3)
+                stress = self._stresses.evaluate(self._fatigue_region).reshape(-1, 3, 3)
                 cycles = self._fatigue.spectrum.get(stage.name)
                 if reversal == stage.load_segments and cycles:
                     self._add(cycles, *tensions(stress, self.valley))
                 self.valley = stress
-            on_step(done, trial)
+            on_step(step, trial)
 
-        return step
+        return record
 
     def _add(self, cycles: float, peak_tensions: Floats, valley_tensions: Floats) -> None:
         """Add the damage of cycles between two tensions at the points (n,)."""
         assert self._fatigue
         for name, law in self._fatigue.laws.items():
-            s = self._fatigue.equivalent(law, peak_tensions, valley_tensions)
-            self.damage[name][:, 0] += cycles * law.damage(s)
-            self.damage[name][:, 1] = np.maximum(self.damage[name][:, 1], s)
+            equivalent_stress = self._fatigue.equivalent(law, peak_tensions, valley_tensions)
+            self.damage[name][:, 0] += cycles * law.damage(equivalent_stress)
+            self.damage[name][:, 1] = np.maximum(self.damage[name][:, 1], equivalent_stress)
 
     def fatigue(self) -> dict[str, Numbers]:
         """Published numbers by law, of activities so far; collective."""
         return {
-            name: self._by_part(self._tires, partial(self._damaged, damage))
+            name: self._by_part(self._fatigue_region, partial(self._damage_numbers, damage))
             for name, damage in self.damage.items()
         }
 
-    def _damaged(self, damage_and_stress: Floats, is_in_part: Bools) -> Numbers:
+    def _damage_numbers(self, damage_and_stress: Floats, is_in_part: Bools) -> Numbers:
         """Damage by a law in a part of the points, from rows of damage and stress (n, 2)."""
-        x, volume = self._stresses.places(self._tires)
+        x, volume = self._stresses.places(self._fatigue_region)
         rows = np.column_stack([damage_and_stress, volume.ravel(), x])[is_in_part].T
         damage, stress, weight, *coordinates = self._stresses.gather(rows)
         return {
@@ -140,8 +140,8 @@ class CementRisk(Record):
         fields: dict[str, Floats] = {}
         for name, damage_and_stress in self.damage.items():
             damage = damage_and_stress[:, 0]
-            mean, point_weights = np.zeros(cells), self._stresses.shares[self._tires]
-            mean[self._stresses.cells[self._tires]] = (
+            mean, point_weights = np.zeros(cells), self._stresses.shares[self._fatigue_region]
+            mean[self._stresses.cells[self._fatigue_region]] = (
                 damage.reshape(-1, len(point_weights)) @ point_weights
             )
             fields[f"damage_{name}"] = mean
@@ -178,7 +178,7 @@ class CementRisk(Record):
         if region not in self._parts:
             x = self._stresses.places(region)[0]
             levels = self._borders(x) if self._borders else {}
-            edges = turning_in(self._tagged, region)
+            edges = reentrant_edges(self._tagged, region)
             if len(edges):
                 levels["edge"] = distance(x, edges) - NEAR
             parts = divided(np.ones(len(x), dtype=bool), levels)
@@ -200,7 +200,7 @@ def tensions(peak: Floats, valley: Floats) -> tuple[Floats, Floats]:
     return plane_tensions.max(axis=0), plane_tensions.min(axis=0)
 
 
-def turning_in(tagged: TaggedMesh, region: str) -> Floats:
+def reentrant_edges(tagged: TaggedMesh, region: str) -> Floats:
     """Edges at which a region turns in by more than `TURN` (e, 2, 3) [mm], on all ranks.
 
     The angles of the cells around an edge add up to 180 degrees where the surface is smooth, and to
@@ -228,16 +228,22 @@ def turning_in(tagged: TaggedMesh, region: str) -> Floats:
 
 def distance(x: Floats, edges: Floats) -> Floats:
     """Distance of points (n, 3) from the nearest of some edges (e, 2, 3) (n,) [mm]."""
-    least = np.full(len(x), np.inf)
+    smallest_distance = np.full(len(x), np.inf)
     for a, b in edges:
         t = np.clip((x - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
-        least = np.minimum(least, np.linalg.norm(x - a - t[:, None] * (b - a), axis=1))
-    return least
+        to_edge = np.linalg.norm(x - a - t[:, None] * (b - a), axis=1)
+        smallest_distance = np.minimum(smallest_distance, to_edge)
+    return smallest_distance
 
 
 def divided(whole: Bools, levels: Mapping[str, Floats]) -> dict[str, Bools]:
-    """Parts of a whole (n,) where levels (n,) are not positive, the first first; "": the rest."""
+    """Divide a mask (n,) by levels (n,); the rest has the name "".
+
+    A part is where its level is not positive and the level of no earlier part is.
+    """
     parts = {}
+    rest = whole
     for part, level in levels.items():
-        parts[part], whole = whole & (level <= 0), whole & (level > 0)
-    return {"": whole} | parts
+        parts[part] = rest & (level <= 0)
+        rest = rest & (level > 0)
+    return {"": rest} | parts

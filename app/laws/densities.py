@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Discriminator, Tag
 
-from app.schema.section import ITEMS, TAG, Extensible, Four, Section, Truth
+from app.schema.section import ITEMS, UNION_TAG, Extensible, Four, Section, Truth
 from app.schema.units import Dimension, Modulus, Number, Stress
 
 if TYPE_CHECKING:
@@ -46,9 +46,9 @@ class DensityLaw(Section):
 
 
 Law = Annotated[
-    Annotated[Literal["morgan_neck", "keyak", "carter_hayes"], Tag(TAG + "known")]
-    | Annotated[DensityLaw, Tag(TAG + "given")],
-    Discriminator(lambda law: TAG + ("known" if isinstance(law, str) else "given")),
+    Annotated[Literal["morgan_neck", "keyak", "carter_hayes"], Tag(UNION_TAG + "known")]
+    | Annotated[DensityLaw, Tag(UNION_TAG + "given")],
+    Discriminator(lambda law: UNION_TAG + ("known" if isinstance(law, str) else "given")),
 ]
 
 

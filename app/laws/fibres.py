@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import AfterValidator, BaseModel, Discriminator, PlainSerializer, Tag
 
-from app.schema.section import TAG, Kinds, Section, Triple
+from app.schema.section import UNION_TAG, Kinds, Section, Triple
 from app.schema.units import Axis, Length
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ class Radial(Circumferential):
 def _form(value: object) -> str:
     """Form of a fibre direction: a vector, or a section with a kind."""
     is_axis = isinstance(value, Straight) or not isinstance(value, dict | BaseModel)
-    return TAG + ("along" if is_axis else "about")
+    return UNION_TAG + ("along" if is_axis else "about")
 
 
 Fibre = Straight | Circumferential
@@ -92,8 +92,8 @@ else:
             Axis,
             AfterValidator(lambda axis: Straight.model_construct(axis=axis)),
             PlainSerializer(lambda fibre: list(fibre.axis)),
-            Tag(TAG + "along"),
+            Tag(UNION_TAG + "along"),
         ]
-        | Annotated[Circumferential | Radial, Kinds(), Tag(TAG + "about")],
+        | Annotated[Circumferential | Radial, Kinds(), Tag(UNION_TAG + "about")],
         Discriminator(_form),
     ]

@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, PrivateAttr, ValidationInfo, model_validat
 from app.laws.cycle_tables import FACTOR, FORCES, CycleTable
 from app.laws.values import LoadHistory, Named, Source, Status, amplitude, field
 from app.schema.expressions import Varying
-from app.schema.section import ITEMS, Extensible, Kinds, Name, Triple, fail, show, spread_unit
+from app.schema.section import ITEMS, Extensible, Kinds, Name, Triple, distribute_unit, fail, show
 from app.schema.units import Dimension, ForceVector, Length, Stress
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ ForceDensityField = Annotated[
 
 def _point(value: object, info: ValidationInfo) -> object:
     """Replace the name of a point of the geometry by its coordinates."""
-    value = spread_unit(value)
+    value = distribute_unit(value)
     if not isinstance(value, str):
         return value
     points: dict[str, tuple[float, float, float]] | None = (info.context or {}).get("points", {})
@@ -107,7 +107,7 @@ class Load(Extensible, Named):
     """Source of the values. If a file changes a value, status and source are removed."""
 
     @property
-    def place(self) -> tuple[str, str | None, tuple[str, ...] | None]:
+    def form_key(self) -> tuple[str, str | None, tuple[str, ...] | None]:
         """Kind, boundary and regions. Loads that agree in these share their forms."""
         keys = dict(self)
         return self.kind, keys.get("boundary"), keys.get("regions")

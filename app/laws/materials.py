@@ -18,7 +18,7 @@ from app.laws.densities import ChangingDensity, ModulusField
 from app.laws.fibres import Fibre, FibreDirection
 from app.laws.thermal import Thermal
 from app.laws.values import LoadHistory, OfRegion, Source, Status, Table, rising
-from app.schema.section import ITEMS, TAG, Kinds, Pair, Section, Text, fail, show
+from app.schema.section import ITEMS, UNION_TAG, Kinds, Pair, Section, Text, fail, show
 from app.schema.units import Length, Modulus, Number, Plain
 
 if TYPE_CHECKING:
@@ -52,19 +52,19 @@ def _sloped(table: Table) -> Table:
 def _form(E: object) -> str:
     """Form of a modulus: a value, pairs, or a section."""
     pairs = "graded" if isinstance(E, list | tuple) else "constant"
-    return TAG + ("field" if isinstance(E, dict | ModulusField) else pairs)
+    return UNION_TAG + ("field" if isinstance(E, dict | ModulusField) else pairs)
 
 
 # A modulus, pairs of height and modulus, or a field that another package reads.
 YoungsModulus = Annotated[
-    Annotated[Modulus, Tag(TAG + "constant")]
+    Annotated[Modulus, Tag(UNION_TAG + "constant")]
     | Annotated[
         tuple[Annotated[tuple[Length, Modulus], Pair("[-118 mm, 0.1 GPa]")], ...],
         AfterValidator(rising("height")),
         AfterValidator(_sloped),
-        Tag(TAG + "graded"),
+        Tag(UNION_TAG + "graded"),
     ]
-    | Annotated[ModulusField, Kinds("."), Tag(TAG + "field")],
+    | Annotated[ModulusField, Kinds("."), Tag(UNION_TAG + "field")],
     Discriminator(_form),
 ]
 

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from app.laws.values import LengthField, LoadHistory, Named, field
-from app.schema.section import ITEMS, TAG, Kinds, Name, Triple, fail
+from app.schema.section import ITEMS, UNION_TAG, Kinds, Name, Triple, fail
 from app.schema.units import Axis, Stiffness
 
 if TYPE_CHECKING:
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 StageNames = Annotated[tuple[Name, ...], ITEMS, Field(min_length=1)] | None
 Normal = Annotated[
-    Annotated[Axis, Tag(TAG + "axis")] | Annotated[Literal["face"], Tag("face")],
+    Annotated[Axis, Tag(UNION_TAG + "axis")] | Annotated[Literal["face"], Tag("face")],
     Discriminator(
-        lambda value: value if isinstance(value, str) else TAG + "axis",
+        lambda value: value if isinstance(value, str) else UNION_TAG + "axis",
         custom_error_type="form",
         custom_error_message="expected a direction as [1, 1, 0], or face",
     ),

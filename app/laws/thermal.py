@@ -12,7 +12,7 @@ from app.laws.cure import Cure
 from app.laws.fibres import FibreDirection
 from app.laws.values import OfRegion
 from app.schema import units
-from app.schema.section import TAG, Section, fail
+from app.schema.section import UNION_TAG, Section, fail
 
 if TYPE_CHECKING:
     from ufl.core.expr import Expr
@@ -125,10 +125,10 @@ class PressureConductance(Section):
 def _form(value: object) -> str | None:
     """Form of a conductance: a word, a quantity or a section."""
     if isinstance(value, dict | BaseModel):
-        return TAG + "pressure"
+        return UNION_TAG + "pressure"
     if isinstance(value, str) and not units.NUMBER.fullmatch(value):
-        return TAG + "perfect" if value == "perfect" else None
-    return TAG + "constant"
+        return UNION_TAG + "perfect" if value == "perfect" else None
+    return UNION_TAG + "constant"
 
 
 if TYPE_CHECKING:
@@ -136,9 +136,9 @@ if TYPE_CHECKING:
 else:
     # `perfect` is kept as None.
     Conductance = Annotated[
-        Annotated[Literal["perfect"], AfterValidator(lambda _: None), Tag(TAG + "perfect")]
-        | Annotated[units.ConductancePerArea, Tag(TAG + "constant")]
-        | Annotated[PressureConductance, Tag(TAG + "pressure")],
+        Annotated[Literal["perfect"], AfterValidator(lambda _: None), Tag(UNION_TAG + "perfect")]
+        | Annotated[units.ConductancePerArea, Tag(UNION_TAG + "constant")]
+        | Annotated[PressureConductance, Tag(UNION_TAG + "pressure")],
         Discriminator(
             _form,
             custom_error_type="form",
@@ -149,9 +149,9 @@ else:
 # The fraction of friction heat that enters the first side, or to compute it from the materials.
 FrictionHeating = Annotated[
     Annotated[Literal["effusivity"], Tag("effusivity")]
-    | Annotated[float, units.Plain(at_least=0.0, at_most=1.0), Tag(TAG + "part")],
+    | Annotated[float, units.Plain(at_least=0.0, at_most=1.0), Tag(UNION_TAG + "part")],
     Discriminator(
-        lambda value: value if isinstance(value, str) else TAG + "part",
+        lambda value: value if isinstance(value, str) else UNION_TAG + "part",
         custom_error_type="form",
         custom_error_message="expected effusivity or a number from 0 to 1",
     ),

@@ -12,7 +12,7 @@ from pydantic_core import PydanticCustomError
 
 from app.foundation.errors import InputError
 from app.schema.expressions import Varying, evaluate
-from app.schema.section import ITEMS, TAG, Pair, Section, Text, fail
+from app.schema.section import ITEMS, UNION_TAG, Pair, Section, Text, fail
 from app.schema.units import Dimension, Length, NonNegativeInteger, Number, Part, PositiveLength
 
 if TYPE_CHECKING:
@@ -71,9 +71,9 @@ class Patches(Section):
 
 # Of an area: 30 %, an expression that gives 0 to 1, or patches.
 ShareField = Annotated[
-    Annotated[float | str, Varying(Part()), Tag(TAG + "share")]
-    | Annotated[Patches, Tag(TAG + "patches")],
-    Discriminator(lambda s: TAG + ("patches" if isinstance(s, dict | Patches) else "share")),
+    Annotated[float | str, Varying(Part()), Tag(UNION_TAG + "share")]
+    | Annotated[Patches, Tag(UNION_TAG + "patches")],
+    Discriminator(lambda s: UNION_TAG + ("patches" if isinstance(s, dict | Patches) else "share")),
 ]
 
 
@@ -120,7 +120,7 @@ def rising(quantity: str) -> Callable[[Table], Table]:
 T = TypeVar("T")
 # Interference of a press fit: a length, an expression, or pairs of height on the stem and length.
 InterferenceField = Annotated[
-    Annotated[float | str, INTERFERENCE, Tag(TAG + "interference")]
+    Annotated[float | str, INTERFERENCE, Tag(UNION_TAG + "interference")]
     | Annotated[
         tuple[
             Annotated[tuple[Length, Annotated[float, _INTERFERENCE]], Pair("[80 mm, 0.02 mm]")],
@@ -128,10 +128,10 @@ InterferenceField = Annotated[
         ],
         ITEMS,
         AfterValidator(rising("height")),
-        Tag(TAG + "table"),
+        Tag(UNION_TAG + "table"),
     ],
     Discriminator(
-        lambda value: TAG + ("table" if isinstance(value, list | tuple) else "interference")
+        lambda value: UNION_TAG + ("table" if isinstance(value, list | tuple) else "interference")
     ),
 ]
 

@@ -161,7 +161,7 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
 def _with_switched_interfaces(
     solver: Solver,
     start: PETSc.Vec,
-    switch: Callable[[bool], bool],
+    set_switched: Callable[[bool], bool],
     switched_remedy: str,
     usual_remedy: str,
 ) -> Iterator[str]:
@@ -170,17 +170,17 @@ def _with_switched_interfaces(
     Args:
         solver: The solver. If a body has run away, its state is the start again.
         start: The state from which to start.
-        switch: Constrains or opens interfaces, or ends that; returns True if there are any.
+        set_switched: Constrains or opens interfaces, or ends that; returns True if there are any.
         switched_remedy: Name of the remedy with switched interfaces.
         usual_remedy: Name of the remedy after that.
     """
-    if solver.converged or not switch(True):
+    if solver.converged or not set_switched(True):
         return
     start.copy(solver.x)
     try:
         yield switched_remedy
     finally:
-        switch(False)
+        set_switched(False)
     if solver.system.runs_away(solver.blocks()):
         start.copy(solver.x)
     else:

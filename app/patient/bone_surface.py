@@ -175,7 +175,8 @@ def _checked(path: Path, surface: Welded, notes: list[str], thinned: bool) -> Bo
         if nested:
             remedy = "keep the bone, and give the canal as a separate file (geometry.canal)"
         raise GeometryError(
-            f"{path}: has {len(sizes)} bodies{details} at {place(second_largest)}; {remedy}"
+            f"{path}: has {len(sizes)} bodies{details} at {mean_point_text(second_largest)};"
+            f" {remedy}"
         )
     open_edges = first_of_edge[edge_counts % 2 == 1] if thinned else first_of_edge[edge_counts != 2]
     edges = x[edge_ends[order[open_edges]]]
@@ -187,7 +188,9 @@ def _checked(path: Path, surface: Welded, notes: list[str], thinned: bool) -> Bo
         fault = (
             "is open" if most_triangles == 1 else f"has edges of up to {most_triangles} triangles"
         )
-        spike_place = f"{place(edges[is_aside])} ({int(is_aside.sum())} edges), not at an end"
+        spike_place = (
+            f"{mean_point_text(edges[is_aside])} ({int(is_aside.sum())} edges), not at an end"
+        )
         raise GeometryError(
             f"{path}: {fault} at {spike_place}; repair it in the program that wrote it"
         )
@@ -239,7 +242,8 @@ def _spikes(x: Floats, edge_ends: Ints, open_ends: Ints) -> Iterator[str]:
     if spikes.any():
         highest = int(np.where(spikes, height, 0.0).argmax())
         note = f"{int(spikes.sum()):,} corners stick out from their neighbours, the farthest by"
-        yield f"{note} {height[highest]:.0f} mm at {place(x[highest])}; is the file damaged?"
+        location = mean_point_text(x[highest])
+        yield f"{note} {height[highest]:.0f} mm at {location}; is the file damaged?"
 
 
 def _contains(outer: Floats, inner: Floats) -> bool:
@@ -258,6 +262,6 @@ def outward(points: Floats, triangles: Ints) -> Ints:
     return triangles if volume > 0 else triangles[:, ::-1]
 
 
-def place(x: Floats) -> str:
+def mean_point_text(x: Floats) -> str:
     """Mean of points (..., 3) in words."""
     return "({:.0f}, {:.0f}, {:.0f}) mm in the file".format(*x.reshape(-1, 3).mean(axis=0))

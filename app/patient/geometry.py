@@ -26,7 +26,7 @@ from app.foundation.implant import Implant
 from app.schema.paths import file
 from app.schema.section import Kinds, Pair, Section, Triple, fail
 from app.schema.units import Length, Number, Plain, PositiveLength
-from meshes.placement import Placement, place
+from meshes.placement import Placement, placement_of
 
 if TYPE_CHECKING:
     from app.patient.bone import PatientBone
@@ -235,7 +235,7 @@ class Patient(OperatedHip):
     @cached_property
     def placement(self) -> Placement:
         """Cut and stem in the model's axes."""
-        return place(self)
+        return placement_of(self)
 
     @property
     def shoulder_depth(self) -> float:

@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 from app.foundation.arrays import Bools, Floats
 from app.foundation.errors import GeometryError
 from app.patient import shaft
-from app.patient.bone_surface import BoneSurface, place
+from app.patient.bone_surface import BoneSurface, mean_point_text
 from meshes.femur_stem import unit
 from meshes.plane_sections import centroid, exits, section
 
@@ -162,15 +162,14 @@ class Frame:
         if len(surface.rim):
             proximal = self.to_model(surface.rim)[:, 2] > 0
             if proximal.any():
-                doubt = (
-                    f"its surface is open at the proximal end, at {place(surface.rim[proximal])}"
-                )
+                location = mean_point_text(surface.rim[proximal])
+                doubt = f"its surface is open at the proximal end, at {location}"
                 notes.append(f"{doubt} ({int(proximal.sum())} edges); are triangles missing there?")
         heights = [float(self.to_model(border)[:, 2].mean()) for border in surface.borders]
         for border, height in zip(surface.borders, heights, strict=True):
             # The lowest one is the end of the scan, in the shaft.
             if height > min(0.0, min(heights)):
-                doubt = f"the bone is cut by the border of the image at {place(border)}"
+                doubt = f"the bone is cut by the border of the image at {mean_point_text(border)}"
                 notes.append(f"{doubt} ({len(border):,} voxels); is a part of it missing?")
         return notes
 
@@ -292,7 +291,7 @@ class _Finder:
         covered_part, centre, radius, self.up = max(spheres, key=lambda candidate: candidate[0])
         if covered_part < LEAST_COVERED:
             fault = "has no head at either end: its surface covers at most"
-            fault += f" {100 * covered_part:.0f} % of a sphere, at {place(centre)}"
+            fault += f" {100 * covered_part:.0f} % of a sphere, at {mean_point_text(centre)}"
             remedy = "expected a femur with its head, in the right unit"
             raise GeometryError(f"geometry.bone: {fault}; {remedy}")
         for _ in range(4):
@@ -411,7 +410,8 @@ class _Finder:
             least_depth, largest_depth = (ratio * radius for ratio in TROCHANTER_RANGE)
             peaks[:, (depths < least_depth) | (depths > largest_depth)] = 0.0
             if not peaks.any():
-                fault = f"no lesser trochanter was detected below the head at {place(self.head)}"
+                location = mean_point_text(self.head)
+                fault = f"no lesser trochanter was detected below the head at {location}"
                 fault += f", and the surface ends {self.depth:.0f} mm below it"
                 remedy = "expected a proximal femur, or landmarks.lesser_trochanter"
                 raise GeometryError(f"geometry.bone: {fault}; {remedy}")

@@ -159,7 +159,7 @@ class MeasuredLayers:
 
     def _place_on_axis(self, zeta: float) -> str:
         """A place on the stem's axis in words."""
-        return self._placement.where(self._placement.to_model([0.0, 0.0, zeta]))
+        return self._placement.point_in_words(self._placement.to_model([0.0, 0.0, zeta]))
 
     def _rays(self, surface: BoneSurface, zeta: Floats) -> tuple[Floats, Ints]:
         """Radii of a surface in sections, and the number of crossings of each ray (n, `ANGLES`)."""
@@ -209,7 +209,7 @@ class MeasuredLayers:
             i, j = np.unravel_index(wall.argmin(), wall.shape)
             raise GeometryError(
                 f"geometry.canal.surface: is {-wall.min():.1f} mm outside the bone at"
-                f" {self._placement.where(self._grid_points(bone)[first_row + i, j])};"
+                f" {self._placement.point_in_words(self._grid_points(bone)[first_row + i, j])};"
                 " expected a canal inside"
                 " the bone, in the same axes"
             )
@@ -276,7 +276,7 @@ class MeasuredLayers:
         for title, thickness in thicknesses.items():
             thickness = np.where(is_beside_stem, thickness, -np.inf)
             i, j = np.unravel_index(thickness.argmax(), thickness.shape)
-            location = self._placement.where(self._grid_points(reamed)[i, j])
+            location = self._placement.point_in_words(self._grid_points(reamed)[i, j])
             self.notes.append(f"{title}: {abs(thickness[i, j]):.1f} mm at {location}")
         return reamed
 

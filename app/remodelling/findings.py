@@ -19,7 +19,7 @@ from app.soundness.preview import warner
 def _stages_and_regions(case: Case) -> Iterable[Fault]:
     """Stages without section and reverse; load cases and regions that remodelling lacks."""
     law, stages = remodelling_of(case), case.stages or ()
-    timed = [i for i, stage in enumerate(stages) if stage.other is STAGES]
+    timed = [i for i, stage in enumerate(stages) if stage.extension_kind is STAGES]
     if law is None:
         for i in timed:
             message = "the law of remodelling is missing or wrong; expected a section `remodelling`"

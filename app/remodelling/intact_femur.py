@@ -26,9 +26,11 @@ def load_cases(law: Remodelling, stages: Sequence[Stage]) -> list[int]:
     return [stage_names.index(name) for name in law.load_cases]
 
 
-def stimulus_before(law: Remodelling, model: Model, ours: BodyForms) -> Floats:
+def stimulus_before(law: Remodelling, model: Model, target_forms: BodyForms) -> Floats:
     """Stimulus of the intact femur at the vertices of a model (n, r) [J/g]; collective."""
-    intact = model.separate_model(intact_case(law, model.case, ours.by_density), "intact femur")
+    intact = model.separate_model(
+        intact_case(law, model.case, target_forms.by_density), "intact femur"
+    )
     loads, bone = intact.analysis.load_stepper(), intact.records["bone"]
     assert loads is not None and isinstance(bone, BoneMass)
     stages = intact.scene.stages
@@ -37,11 +39,11 @@ def stimulus_before(law: Remodelling, model: Model, ours: BodyForms) -> Floats:
     if stimulus is None:
         message = "a load case of the intact femur does not converge"
         raise ConvergenceError(f"remodelling.intact: {message}")
-    return carried(stimulus, bone.forms, ours)
+    return interpolate_stimulus(stimulus, bone.forms, target_forms)
 
 
-def intact_case(law: Remodelling, ours: Case, regions: tuple[str, ...]) -> Case:
-    """The intact case by its law and mesh, in which the same regions remodel as in ours.
+def intact_case(law: Remodelling, operated: Case, regions: tuple[str, ...]) -> Case:
+    """Intact case with the remodelling law, regions and mesh keys of the operated one.
 
     Raises:
         InputError: It cannot be read, or lacks a region or a load case.
@@ -57,19 +59,21 @@ def intact_case(law: Remodelling, ours: Case, regions: tuple[str, ...]) -> Case:
             )
             raise InputError(f"remodelling.intact: {law.intact} {message}")
     law = law.model_copy(update={"regions": regions})
-    return case.model_copy(update={"remodelling": law, "mesh": ours.mesh, "variations": {}})
+    return case.model_copy(update={"remodelling": law, "mesh": operated.mesh, "variations": {}})
 
 
-def carried(stimulus: Floats, forms: BodyForms, ours: BodyForms) -> Floats:
-    """A stimulus on the mesh of some forms at the vertices of ours (n, r) [J/g]; collective."""
-    x, our_points = (body_forms.scalars.tabulate_dof_coordinates() for body_forms in (forms, ours))
+def interpolate_stimulus(stimulus: Floats, forms: BodyForms, target_forms: BodyForms) -> Floats:
+    """Interpolate a stimulus to the vertices of other forms (n, r) [J/g]; collective."""
+    x, target_points = (
+        body_forms.scalars.tabulate_dof_coordinates() for body_forms in (forms, target_forms)
+    )
     columns = []
     for k, region in enumerate(forms.by_density):
         values = stimulus[:, k]
         vertices = forms.vertices(region)
         corners, corner_values = (forms.mesh.comm.allgather(v[vertices]) for v in (x, values))
         columns.append(
-            interpolated(np.concatenate(corners), np.concatenate(corner_values), our_points)
+            interpolated(np.concatenate(corners), np.concatenate(corner_values), target_points)
         )
     return np.column_stack(columns)
 

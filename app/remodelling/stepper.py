@@ -116,12 +116,12 @@ class Remodeller:
         Raises:
             ConvergenceError: A load case cannot be solved even after a short time.
         """
-        stepper, m = self._stepper, self._forms
+        stepper, forms = self._stepper, self._forms
         self._begin(k)
         if not self.progress.step:
             self.progress = Progress(1.0 / stage.increments)
         self._k, self._stage = k, stage
-        self._committed = m.density.copy(), stepper.solver.x.copy()
+        self._committed = forms.density.copy(), stepper.solver.x.copy()
         try:
             if self.density_rate is None:
                 self.density_rate = self._change()
@@ -130,7 +130,7 @@ class Remodeller:
             self._limit(self.density_rate)
             advance(self, self, checkpoint_point)
         except MantleError:
-            m.density[:] = self._committed[0]
+            forms.density[:] = self._committed[0]
             self._committed[1].copy(stepper.solver.x)
             self._stimulus.follow_density()
             self._problem.update_displacements(*stepper.solver.u_and_q())

@@ -44,14 +44,14 @@ class Stimulus:
         """Filter of values S of a region, S - l^2 div grad S = given, if it has a length l."""
         if length is None:
             return lambda given: given
-        m = self.bone.forms
-        owned = m.scalars.dofmap.index_map.size_local
-        slopes = [ufl.grad(f(m.scalars)) for f in (ufl.TrialFunction, ufl.TestFunction)]
-        dx = m.cells()(m.tagged.regions[region])
-        A = assemble_form_matrix(m.form(m.constant(length**2) * ufl.inner(*slopes) * dx))
+        forms = self.bone.forms
+        owned = forms.scalars.dofmap.index_map.size_local
+        slopes = [ufl.grad(f(forms.scalars)) for f in (ufl.TrialFunction, ufl.TestFunction)]
+        dx = forms.cells()(forms.tagged.regions[region])
+        A = assemble_form_matrix(forms.form(forms.constant(length**2) * ufl.inner(*slopes) * dx))
         # Vertices of other regions have no entries yet.
         A.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
-        volume = self.bone.volume[:, m.by_density.index(region)]
+        volume = self.bone.volume[:, forms.by_density.index(region)]
         volume = np.where(volume > 0, volume, 1.0)
         A.setDiagonal(A.getDiagonal() + PETSc.Vec().createWithArray(volume[:owned], comm=A.comm))
         inverse = Inverse(A, lambda: 0, {"pc_type": "jacobi"})
@@ -60,7 +60,7 @@ class Stimulus:
             b, x = A.createVecs()
             b.array[:] = (volume * given)[:owned]
             inverse.solve(b, x, 1e-10)
-            return m.vertex_sums(np.arange(owned, dtype=np.int32), x.array_r)
+            return forms.vertex_sums(np.arange(owned, dtype=np.int32), x.array_r)
 
         return filtered
 

@@ -332,7 +332,13 @@ class HeatBalance:
         self.heats: dict[str, float] = {}
 
     def update(
-        self, step: float, heats: Flows, end: Flows, stored: float, moved: float, least: float = 0.0
+        self,
+        step: float,
+        heats: Flows,
+        end: Flows,
+        stored: float,
+        moved: float,
+        rounding_heat: float = 0.0,
     ) -> None:
         """Add an accepted step.
 
@@ -343,7 +349,7 @@ class HeatBalance:
             stored: Heat stored at the end [N mm].
             moved: Heat that moved within the model in the step [N mm], the scale of the balances
                 (`ThermalRecord.moved_heat`).
-            least: Heat below which the balance would only compare rounding errors [N mm].
+            rounding_heat: Heat below which the balance would only compare rounding errors [N mm].
         """
         for name, heat in heats.items():
             self.heats[name] = self.heats.get(name, 0.0) + heat
@@ -353,7 +359,7 @@ class HeatBalance:
         self.last_flows = dict(end)
         self.moved += max(sum(map(abs, heats.values())), moved)
         self.stored = stored
-        if self.moved >= least:
+        if self.moved >= rounding_heat:
             gained, scale = stored - self.stored_at_start, self.moved or 1.0
             self.heat = max(self.heat, abs(self.stage_sum - gained) / scale)
             self.quadrature = abs(self.end_sum - gained) / scale

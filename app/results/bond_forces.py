@@ -73,7 +73,7 @@ class _OnPiece(OnBody):
 
 
 @dataclass(frozen=True)
-class _Place:
+class _BondGeometry:
     """All interfaces of the mesh, bonded or not, between pieces of the bodies.
 
     Attributes:
@@ -113,7 +113,7 @@ class BondForces:
         self._problem, self._stresses, self._borders = problem, stresses, borders
         self._at_full: dict[Load, Floats] = {}
         if self._bonds:
-            _ = self._place  # a mesh that is too coarse is refused before it is solved
+            _ = self._geometry  # a mesh that is too coarse is refused before it is solved
 
     def indices(self) -> tuple[ContactSurface, dict[str, tuple[int, Floats]]] | None:
         """Return failure indices of bonds by mean tractions; collective.
@@ -124,7 +124,7 @@ class BondForces:
         """
         if not any(b.law.strength for b in self._bonds):
             return None
-        surface, (pressures, shear) = self._place.points.surface, self._tractions()
+        surface, (pressures, shear) = self._geometry.points.surface, self._tractions()
         loads = normal_pressure(pressures, surface.normals), shear
         with_strength = [(i, b) for i, b in enumerate(self._bonds) if b.law.strength]
         return surface, {b.name: (i, _strength(b).index(*loads)) for i, b in with_strength}
@@ -141,7 +141,7 @@ class BondForces:
         pressures, shear = self._tractions()
         by_interface = dict[str, Numbers]()
         for b in selected_bonds:
-            surface = self._place.surfaces[b.name]
+            surface = self._geometry.surfaces[b.name]
             means = surface.of_faces(pressures), np.repeat(shear[:, None], 3, axis=1)
             values = tuple(map(surface.sharpened, means))
             index = _strength(b).index(*values)
@@ -169,10 +169,10 @@ class BondForces:
         Returns:
             Pressure of each face, negative in tension (m, 3) [MPa], and shear (m,) [MPa].
         """
-        place, points, entries = self._place, self._place.points, self._place.entries
+        geometry, points, entries = self._geometry, self._geometry.points, self._geometry.entries
         exerted = self._exerted()
         node, component = np.divmod(entries.row, 3)
-        forces = exerted[entries.body, np.searchsorted(place.nodes, node), component]
+        forces = exerted[entries.body, np.searchsorted(geometry.nodes, node), component]
         force = np.zeros((len(points.x), 3))
         np.add.at(force.ravel(), entries.column, -entries.value * forces)
         force /= points.weight[:, None]
@@ -184,21 +184,21 @@ class BondForces:
 
     def _exerted(self) -> Floats:
         """Forces of the interfaces on the pieces at the nodes (pieces, m, 3) [N]; collective."""
-        place, problem = self._place, self._problem
-        nodal = np.zeros((len(place.pieces.names), len(place.nodes) + 1, 3))
-        for region, (rows, nodes, slopes) in place.cells.items():
+        geometry, problem = self._geometry, self._problem
+        nodal = np.zeros((len(geometry.pieces.names), len(geometry.nodes) + 1, 3))
+        for region, (rows, nodes, slopes) in geometry.cells.items():
             σ = self._stresses.evaluate(region)[rows]
             forces = np.einsum("cqij,cqnj->cni", σ, slopes)
-            np.add.at(nodal[place.pieces.of_region[region]], nodes, forces)
+            np.add.at(nodal[geometry.pieces.of_region[region]], nodes, forces)
         exerted = problem.comm.allreduce(nodal)[:, :-1]
         for load in problem.scene.loads:
-            if place.near_boundaries.has(load.boundaries):
+            if geometry.near_boundaries.has(load.boundaries):
                 exerted -= load.amplitude(problem.load_time) * self._forces(load)
-        for piece, form in place.springs:
+        for piece, form in geometry.springs:
             exerted[piece] += self._at_nodes(assemble_form_vector(form))
         # A rigid piece has no stress. It is in equilibrium with the opposite of all other forces.
-        exerted[place.rigid] = 0.0
-        exerted[place.rigid] = -exerted.sum(axis=0)
+        exerted[geometry.rigid] = 0.0
+        exerted[geometry.rigid] = -exerted.sum(axis=0)
         return np.asarray(exerted)
 
     @cached_property
@@ -214,7 +214,7 @@ class BondForces:
         return [b for b in problem.scene.bonds if has_facets(b)]
 
     @cached_property
-    def _place(self) -> _Place:
+    def _geometry(self) -> _BondGeometry:
         """Return the interfaces with the points of contact; all states and variations share it."""
         problem, scene, frames = self._problem, self._problem.scene, self._problem.stiffness.frames
         conforming = [c for c in scene.contacts if not c.between]
@@ -242,7 +242,7 @@ class BondForces:
         surfaces = dict(zip(bond_names, in_parts(surface, bond_names, levels), strict=True))
         nodes = np.unique(entries.row // 3)
         near_boundaries = self._boundaries_near(pieces, nodes)
-        return _Place(
+        return _BondGeometry(
             points=replace(points, surface=replace(surface, bodies=body[surface.bodies])),
             entries=entries,
             surfaces=surfaces,
@@ -285,11 +285,13 @@ class BondForces:
         """Forces of a load on the pieces at the nodes (pieces, m, 3) at full amplitude [N]."""
         key = at_full_amplitude(load)
         if key not in self._at_full:
-            problem, place = self._problem, self._place
+            problem, geometry = self._problem, self._geometry
             v = ufl.TestFunction(problem.space)
-            forces = self._at_full[key] = np.zeros((len(place.pieces.names), len(place.nodes), 3))
+            forces = self._at_full[key] = np.zeros(
+                (len(geometry.pieces.names), len(geometry.nodes), 3)
+            )
             for piece in range(len(forces)):
-                work = key.work(v, _OnPiece(problem.body_forms, piece, place.near_boundaries))
+                work = key.work(v, _OnPiece(problem.body_forms, piece, geometry.near_boundaries))
                 if work != 0:
                     vector = assemble_form_vector(problem.body_forms.form(work))
                     forces[piece] = self._at_nodes(vector)
@@ -297,7 +299,7 @@ class BondForces:
 
     def _at_nodes(self, vector: PETSc.Vec) -> Floats:
         """Return values of a vector at the nodes (m, 3) on all ranks; collective."""
-        nodes = self._place.nodes
+        nodes = self._geometry.nodes
         first_owned, after_owned = self._problem.space.dofmap.index_map.local_range
         is_owned = (nodes >= first_owned) & (nodes < after_owned)
         values = np.zeros((len(nodes), 3))
@@ -305,7 +307,7 @@ class BondForces:
         return np.asarray(self._problem.comm.allreduce(values))
 
     def _cells(self, region: str, nodes: Ints) -> tuple[Ints, Ints, Floats]:
-        """Return the ``cells`` of a region, as `_Place` has them."""
+        """Return the ``cells`` of a region, as `_BondGeometry` has them."""
         stresses, space = self._stresses, self._problem.space
         dofs = space.dofmap.list[stresses.cells[region]]
         global_nodes = space.dofmap.index_map.local_to_global(dofs.ravel()).reshape(dofs.shape)

@@ -316,17 +316,17 @@ class MechanicalFields:
 
     def of_cells(self, cells: int) -> dict[str, Floats]:
         """Return varying Young's moduli [MPa], changing densities, fields of records (cells,)."""
-        s, m = self._stresses, self._problem.body_forms
-        density = {r: m.density_at(r, CENTRE, m.density)[:, 0] for r in m.by_density}
+        stresses, forms = self._stresses, self._problem.body_forms
+        density = {r: forms.density_at(r, CENTRE, forms.density)[:, 0] for r in forms.by_density}
         fields: dict[str, Floats] = {}
         for record in self._records:
             fields |= record.cell_fields(cells)
         for name, values_by_region in {
-            "youngs_modulus": s.varying_moduli(),
+            "youngs_modulus": stresses.varying_moduli(),
             "density": density,
         }.items():
             for region, values in values_by_region.items():
-                fields.setdefault(name, np.zeros(cells))[s.cells[region]] = values
+                fields.setdefault(name, np.zeros(cells))[stresses.cells[region]] = values
         return fields
 
     def _stress(self, nodes: OutputNodes, cells: int) -> tuple[Floats, Floats]:

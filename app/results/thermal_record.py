@@ -224,7 +224,7 @@ class ThermalRecord:
         """Record the initial state, at 0 s; collective."""
         for name, nodes in self._nodes.items():
             self.regions[name] = RegionTemperatures(nodes, temperatures)
-        self._take(0.0, temperatures)
+        self._record_row(0.0, temperatures)
 
     def update(
         self,
@@ -260,8 +260,8 @@ class ThermalRecord:
             r.raise_peak(seconds, highest)
         for name, (flux, entropy) in (exchanges or {}).items():
             exchange_sizes = {"flux": np.abs(flux), "entropy": entropy, "minus entropy": -entropy}
-            self._raise(name, maxima(self._comm, exchange_sizes))
-        self._take(seconds, temperatures)
+            self._update_maxima(name, maxima(self._comm, exchange_sizes))
+        self._record_row(seconds, temperatures)
 
     def _expose(self, seconds: float, rates: Sequence[Floats]) -> None:
         """Add the doses of a step, divided into straight pieces according to its curvature."""
@@ -272,13 +272,13 @@ class ThermalRecord:
         for name, r in self.regions.items():
             r.doses.add_bent(r.begin, r.now, bends[name], seconds - self.seconds, piece_count)
 
-    def _raise(self, interface: str, numbers: Mapping[str, float]) -> None:
+    def _update_maxima(self, interface: str, numbers: Mapping[str, float]) -> None:
         """Raise the extremes of an interface to larger numbers."""
         extremes = self.extremes[interface]
         for key, value in numbers.items():
             extremes[key] = max(extremes.get(key, -np.inf), value)
 
-    def _take(self, seconds: float, temperatures: Sequence[fem.Function]) -> None:
+    def _record_row(self, seconds: float, temperatures: Sequence[fem.Function]) -> None:
         """Set the columns of history.csv."""
         local = {
             f"{name} temperature_max [degC]": r.now - CELSIUS for name, r in self.regions.items()
@@ -291,7 +291,7 @@ class ThermalRecord:
                 local[f"{name} temperature_jump_max [K]"] = np.abs(nodes.jump(temperatures))
         row = maxima(self._comm, local)
         for name in self.extremes:
-            self._raise(name, {"jump": row.get(f"{name} temperature_jump_max [K]", 0.0)})
+            self._update_maxima(name, {"jump": row.get(f"{name} temperature_jump_max [K]", 0.0)})
         probed = self._probes.values(temperatures)[:, 0] - CELSIUS
         row |= {f"{p} [degC]": float(T) for p, T in zip(self._probes.names, probed, strict=True)}
         self.seconds, self.row = seconds, {"seconds [s]": seconds, **row}

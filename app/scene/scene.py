@@ -364,9 +364,9 @@ def build_scene(case: Case) -> Scene:
         e._density = changing_densities.get(e.region)
     stage_names = [stage.name for stage in case.stages]
     loads_of = {
-        index: stage_names.index(stage.other.loads(case))
+        index: stage_names.index(stage.extension_kind.loads(case))
         for index, stage in enumerate(case.stages)
-        if stage.other
+        if stage.extension_kind
     }
     press_fits = case.geometry.press_fits
     contacts = tuple(

@@ -28,8 +28,9 @@ from pydantic_core import ErrorDetails, PydanticCustomError, core_schema
 
 from app.schema.yaml_file import Fault, Path
 
-# Marks, in the location of a pydantic error, an entry that names a class and not a key.
-TAG = "="
+# Prefix of tags that pydantic puts into the path of an error for a member of a union. Such tags are
+# removed before a path is shown; no key of a section begins so.
+UNION_TAG = "="
 T = TypeVar("T")
 # Young's modulus, Coulomb's law: keeps its capital inside a sentence.
 NAME_OF_PERSON = re.compile(r"[A-Z][a-z]+'s ")
@@ -44,7 +45,7 @@ class Section(BaseModel):
     def __eq__(self, other: object) -> bool:
         """Return True for the same class with equal fields.
 
-        Values cached beside the fields, which may be arrays, do not count.
+        Only fields are compared: cached properties may hold arrays.
         """
         if type(self) is not type(other):
             return NotImplemented
@@ -67,28 +68,30 @@ class Section(BaseModel):
         try:
             return handler(value)
         except ValidationError as error:
-            lines = [_defect(f.text, f.path) for f in faults(error, cls, value)]
+            defects = [_defect(f.text, f.path) for f in faults(error, cls, value)]
             raise ValidationError.from_exception_data(
-                cls.__name__, [{"type": line, "input": None} for line in lines]
+                cls.__name__, [{"type": defect, "input": None} for defect in defects]
             ) from None
 
 
 def faults(
-    error: ValidationError, model: type[Section] = Section, given: object = None
+    error: ValidationError, model: type[Section] = Section, mapping: object = None
 ) -> list[Fault]:
     """Errors of pydantic in words of the file.
 
     Args:
         error: The errors.
         model: Section in which they are.
-        given: Mapping that the section was read from.
+        mapping: Mapping that the section was read from.
     """
-    return [Fault(*_in_words(entry, model, given)) for entry in error.errors(include_url=False)]
+    return [Fault(*_in_words(entry, model, mapping)) for entry in error.errors(include_url=False)]
 
 
-def _in_words(entry: ErrorDetails, model: type[Section], given: object) -> tuple[Path, str]:
-    path = tuple(i for i in entry["loc"] if i != "[key]" and not str(i).startswith(TAG))
-    value, keys = show(entry["input"]), tuple(model.model_fields)
+def _in_words(entry: ErrorDetails, model: type[Section], mapping: object) -> tuple[Path, str]:
+    # Pydantic marks an error in a key of a mapping by "[key]".
+    path = tuple(i for i in entry["loc"] if i != "[key]" and not str(i).startswith(UNION_TAG))
+    value = show(entry["input"])
+    keys = tuple(model.model_fields)
     match entry["type"]:
         case "mantle":
             return (*path, *entry["ctx"]["at"]), entry["ctx"]["text"]
@@ -98,11 +101,13 @@ def _in_words(entry: ErrorDetails, model: type[Section], given: object) -> tuple
             expected = f": {start}{docstring[1:].rstrip('.')}" if docstring else ""
             return path[:-1], f"'{path[-1]}' is missing; expected{expected}"
         case "extra_forbidden":
-            if str(entry["loc"][-1]).startswith(TAG):  # a key of the file that looks like a mark
+            if str(entry["loc"][-1]).startswith(UNION_TAG):  # a key of the file that begins so
                 path = (*path, entry["loc"][-1])
-            above = _above(path[-1], model, given if isinstance(given, Mapping) else {})
-            if above:
-                return path, f"unknown key here; indent it below '{above}', where it belongs"
+            section = _section_for_key(
+                path[-1], model, mapping if isinstance(mapping, Mapping) else {}
+            )
+            if section:
+                return path, f"unknown key here; indent it below '{section}', where it belongs"
             hint = did_you_mean(str(path[-1]), keys)
             return path, f"unknown key; allowed: {', '.join(keys)}{hint}"
         case "model_type" | "model_attributes_type":
@@ -110,33 +115,42 @@ def _in_words(entry: ErrorDetails, model: type[Section], given: object) -> tuple
         case "literal_error" if allowed_words := re.findall("'([^']*)'", entry["ctx"]["expected"]):
             return path, not_one_of(entry["input"], allowed_words)
         case "union_tag_invalid":
-            given, tags = entry["input"], entry["ctx"]["expected_tags"]
-            kinds = re.findall(f"'{TAG}(\\w+)'", tags)
-            if not isinstance(given, dict):
+            union_value = entry["input"]
+            kinds = re.findall(f"'{UNION_TAG}(\\w+)'", entry["ctx"]["expected_tags"])
+            if not isinstance(union_value, dict):
                 message = f"{value} is not a mapping; expected one with kind: {' | '.join(kinds)}"
                 return path, message
             if not kinds:
                 return path, f"{value} has no known kind; is a package missing?"
-            message = f"is missing; expected one of {', '.join(kinds)}"
-            if "kind" in given:
-                message = not_one_of(given["kind"], kinds)
-            return (*path, "kind"), message
+            if "kind" not in union_value:
+                return (*path, "kind"), f"is missing; expected one of {', '.join(kinds)}"
+            return (*path, "kind"), not_one_of(union_value["kind"], kinds)
     return path, f"{value}: {entry['msg'][0].lower()}{entry['msg'][1:]}"
 
 
-def _above(key: str | int, model: type[Section], given: Mapping[str, object]) -> str:
-    """The section that an unknown key belongs to: an empty one before it, or one that has it."""
-    keys_before = [n for n in takewhile(lambda name: name != key, given) if n in model.model_fields]
-    if keys_before and given[keys_before[-1]] is None:
+def _section_for_key(key: str | int, model: type[Section], mapping: Mapping[str, object]) -> str:
+    """Section to which an unknown key belongs; empty if there is none.
+
+    An empty section directly before the key (wrong indentation), or the first one with such a key.
+    """
+    fields = model.model_fields
+    keys_before = [name for name in takewhile(lambda name: name != key, mapping) if name in fields]
+    if keys_before and mapping[keys_before[-1]] is None:
         return keys_before[-1]
-    return next((n for n, f in model.model_fields.items() if _has(f.annotation, key)), "")
+    for name, field in fields.items():
+        if _annotation_has_key(field.annotation, key):
+            return name
+    return ""
 
 
-def _has(kind: object, key: str | int) -> bool:
-    """Return True if sections of a type, or of any in it, have a key."""
-    kinds = kinds_of(kind) if isinstance(kind, type) and issubclass(kind, Extensible) else ()
-    inner_types = (*get_args(kind), *kinds)
-    return key in getattr(kind, "model_fields", ()) or any(_has(k, key) for k in inner_types)
+def _annotation_has_key(annotation: object, key: str | int) -> bool:
+    """Return True if the sections of a type, or of any type in it, have a key."""
+    if key in getattr(annotation, "model_fields", ()):
+        return True
+    kinds: tuple[object, ...] = ()
+    if isinstance(annotation, type) and issubclass(annotation, Extensible):
+        kinds = tuple(kinds_of(annotation))
+    return any(_annotation_has_key(member, key) for member in (*get_args(annotation), *kinds))
 
 
 def docstrings(model: type[BaseModel]) -> dict[str, str]:
@@ -194,11 +208,13 @@ def show(value: object) -> str:
 
 def did_you_mean(word: str, known: Sequence[str]) -> str:
     """End of a message that proposes words that begin alike or are nearest; may be empty."""
-    folded, lower = {k.lower(): k for k in known}, word.lower()
-    begun = [k for k in known if len(word) > 2 and k.lower().startswith(lower)][:3]
-    close = begun or [folded[w] for w in difflib.get_close_matches(lower, folded, 1)]
-    close_names = " or ".join(f"'{k}'" for k in close)
-    return f"; did you mean {close_names}?" if close else ""
+    by_lowercase = {k.lower(): k for k in known}
+    word = word.lower()
+    with_this_start = [k for k in known if len(word) > 2 and k.lower().startswith(word)][:3]
+    nearest = difflib.get_close_matches(word, by_lowercase, 1)
+    suggestions = with_this_start or [by_lowercase[match] for match in nearest]
+    suggestion_text = " or ".join(f"'{k}'" for k in suggestions)
+    return f"; did you mean {suggestion_text}?" if suggestions else ""
 
 
 def _name(value: object) -> object:
@@ -209,29 +225,29 @@ def _name(value: object) -> object:
     return value
 
 
-def _only(kind: type | tuple[type, ...], what: str) -> BeforeValidator:
+def _requires(kind: type | tuple[type, ...], expected: str) -> BeforeValidator:
     """Refuse everything but a type before pydantic converts it."""
 
     def check(value: object) -> object:
         if not isinstance(value, kind):
-            fail(f"{show(value)} is not {what}")
+            fail(f"{show(value)} is not {expected}")
         return value
 
     return BeforeValidator(check)
 
 
 Name = Annotated[str, BeforeValidator(_name)]
-Text = Annotated[str, _only(str, "text; put it in quotes")]
-Truth = Annotated[bool, _only(bool, "true or false")]
-ITEMS = _only((list, tuple), "a list")
-MAPPING = _only(dict, "a mapping of names to values")
+Text = Annotated[str, _requires(str, "text; put it in quotes")]
+Truth = Annotated[bool, _requires(bool, "true or false")]
+ITEMS = _requires((list, tuple), "a list")
+MAPPING = _requires(dict, "a mapping of names to values")
 
 
 class Scalar:
-    """Base of marks of scalar fields, read and written here instead of by pydantic.
+    """Base of annotations of scalar fields that convert text themselves.
 
-    The method `__get_pydantic_json_schema__` of a mark describes the values that are read: to
-    editors, and to the manual by ``x-value`` and ``x-unit``.
+    `read` and `write` replace pydantic's conversion. The method `__get_pydantic_json_schema__` of
+    an annotation describes its values: to editors, and to the manual by ``x-value`` and ``x-unit``.
     """
 
     def read(self, value: object) -> Any:
@@ -274,8 +290,11 @@ def not_one_of(value: object, allowed: Sequence[str]) -> str:
     return f"{show(value)} is not one of {', '.join(allowed)}{hint}"
 
 
-def spread_unit(value: object) -> object:
-    """``"[0, 0, -1800] N"`` as ``["0 N", "0 N", "-1800 N"]``; anything else unchanged."""
+def distribute_unit(value: object) -> object:
+    """Turn ``"[0, 0, -1800] N"`` into ``["0 N", "0 N", "-1800 N"]``.
+
+    Any other value is returned unchanged.
+    """
     match = VECTOR.fullmatch(value) if isinstance(value, str) else None
     if match:
         return [f"{entry.strip()} {match[2].strip()}".strip() for entry in _entries(match[1])]
@@ -295,27 +314,29 @@ def _entries(text: str) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Triple:
-    """Marks a field as a vector: a list of exactly three, or ``"[a, b, c] unit"``.
+class FixedList:
+    """Marks a field as a list of exactly so many entries.
+
+    Only three entries may be written as ``"[a, b, c] unit"``.
 
     Attributes:
         example: Value as written in a file.
-        scalar: True if a single value stands for three equal ones.
-        number: Number of entries; a pair is a list alone.
+        number: Number of entries.
+        scalar: True if a single value stands for equal entries.
     """
 
     example: str
+    number: int
     scalar: bool = False
-    number: int = 3
 
-    def spread(self, value: object) -> object:
-        """The entries, before they are read.
+    def entries(self, value: object) -> object:
+        """Return the entries with their units, before each is read.
 
         Raises:
             PydanticCustomError: Not a list, or not of this number of entries.
         """
         number_words = {2: "two", 3: "three", 4: "four"}[self.number]
-        value = spread_unit(value) if self.number == 3 else value
+        value = distribute_unit(value) if self.number == 3 else value
         if self.scalar and value is not None and not isinstance(value, list | tuple | dict):
             return (value, value, value)
         if not isinstance(value, list | tuple):
@@ -330,42 +351,48 @@ class Triple:
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
-        """Spread before the entries are read."""
-        return core_schema.no_info_before_validator_function(self.spread, handler(source))
+        """Distribute the unit before the entries are read."""
+        return core_schema.no_info_before_validator_function(self.entries, handler(source))
 
     def __get_pydantic_json_schema__(
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, object]:
-        """A list, or text where the entries of three are text."""
+        """A list; three entries with units may also be one text."""
         json_schema = handler(schema)
-        if self.number != 3 or json_schema.get("prefixItems", [{}])[0].get("type") != "string":
+        first_entry = json_schema.get("prefixItems", [{}])[0]
+        has_units = first_entry.get("type") == "string"
+        if self.number != 3 or not has_units:
             return json_schema
         return {
             "anyOf": [json_schema, {"type": "string", "examples": [self.example], "x-value": ""}]
         }
 
 
-Pair = partial(Triple, number=2)
-Four = partial(Triple, number=4)
+Pair = partial(FixedList, number=2)
+Triple = partial(FixedList, number=3)
+Four = partial(FixedList, number=4)
 
 
-_NUMBERS = count(1)
-# Called when a kind is added, to rebuild the schema (`case.case`).
-RENEWALS: list[Callable[[], object]] = []
+_DEFINITION_ORDERS = count(1)
+# Functions that rebuild the schema (`case.case`) when a kind is added.
+ON_NEW_KIND: list[Callable[[], object]] = []
 
 
 class Extensible(Section):
-    """Base of sections to which another package may add kinds: derive from it, and that is all."""
+    """Base of sections to which another package may add kinds.
+
+    A subclass with a `kind` is a kind of the section; nothing has to be registered.
+    """
 
     # Number of the class in the order of definition.
-    _number: ClassVar[int] = 0
+    _definition_order: ClassVar[int] = 0
 
     @classmethod
-    def __pydantic_init_subclass__(cls, **more: object) -> None:
+    def __pydantic_init_subclass__(cls, **class_options: object) -> None:
         """Number the class, and rebuild the schema with the new kind."""
-        cls._number = next(_NUMBERS)
-        for renew in RENEWALS:
-            renew()
+        cls._definition_order = next(_DEFINITION_ORDERS)
+        for rebuild in ON_NEW_KIND:
+            rebuild()
 
 
 E = TypeVar("E", bound=Extensible)
@@ -400,13 +427,13 @@ def add_key(to: type[Section], name: str, kind: Any, doc: str) -> None:
             default=None,
             description=doc,
         )
-        # Sections made before, such as defaults in other sections, lack the key.
+        # Sections that exist already, such as defaults, have no value: the class gives None.
         setattr(section, name, None)
         if section.__pydantic_complete__:
             section.model_rebuild(force=True)
     _ADDED.setdefault(to, []).append(name)
-    for renew in RENEWALS:
-        renew()
+    for rebuild in ON_NEW_KIND:
+        rebuild()
 
 
 def _derived(base: type[Section]) -> Iterator[type[Section]]:
@@ -419,11 +446,14 @@ def kinds_of(base: type[E]) -> tuple[type[E], ...]:
     """All subclasses that have a `kind` or a required key, in the order of their definition."""
     below = [c for sub in base.__subclasses__() for c in (sub, *kinds_of(sub))]
     kinds = dict.fromkeys(c for c in below if _is_kind(c))
-    return tuple(sorted(kinds, key=lambda kind: kind._number))
+    return tuple(sorted(kinds, key=lambda kind: kind._definition_order))
 
 
 def _is_kind(model: type[BaseModel]) -> bool:
-    """Return True for a class that entries of a file can be of."""
+    """Return True if a section of a file can be of a class.
+
+    Such a class has a fixed `kind` or a required key.
+    """
     fields = model.model_fields
     if "kind" in fields:
         return bool(get_args(fields["kind"].annotation))
@@ -437,7 +467,9 @@ class Kinds:
     An `Extensible` base in place of a union stands for all its kinds.
 
     Attributes:
-        default: Kind of a mapping without `kind`, or a key with its dot; "" if it is required.
+        default: Kind of a mapping that has neither `kind` nor such a key. ``.points`` stands for
+            the class whose required key is ``points``, ``.`` for a class without required keys.
+            Empty if a mapping must have one.
     """
 
     default: str = ""
@@ -447,23 +479,27 @@ class Kinds:
     ) -> core_schema.CoreSchema:
         """A tagged union whose tags cannot be mistaken for keys of the file."""
         classes: tuple[type[BaseModel], ...] = get_args(source) or kinds_of(source)
-        tags, keys = dict[type, str](), dict[str, str]()
+        tag_of_class: dict[type, str] = {}
+        tag_of_key: dict[str, str] = {}
         for model in classes:
             fields = model.model_fields
             if "kind" in fields:
-                tags[model] = TAG + get_args(fields["kind"].annotation)[0]
+                tag_of_class[model] = UNION_TAG + get_args(fields["kind"].annotation)[0]
             else:
                 key = next((key for key, field in fields.items() if field.is_required()), "")
-                tags[model] = keys[key] = f"{TAG}.{key}"
+                tag_of_class[model] = f"{UNION_TAG}.{key}"
+                tag_of_key[key] = f"{UNION_TAG}.{key}"
 
-        def tag(value: object) -> str:
+        def tag_of(value: object) -> str:
             if isinstance(value, classes):
-                return tags[type(value)]
-            if len(classes) == 1 and keys:
-                return tags[classes[0]]
+                return tag_of_class[type(value)]
+            if len(classes) == 1 and tag_of_key:
+                return tag_of_class[classes[0]]
             entry = value if isinstance(value, dict) else {}
-            by_key = next((tag for key, tag in keys.items() if key in entry), "")
-            return by_key or f"{TAG}{entry.get('kind', self.default)}"
+            for key, tag in tag_of_key.items():
+                if key in entry:
+                    return tag
+            return f"{UNION_TAG}{entry.get('kind', self.default)}"
 
-        schemas = {tags[model]: handler.generate_schema(model) for model in classes}
-        return core_schema.tagged_union_schema(schemas, tag)
+        schemas = {tag_of_class[model]: handler.generate_schema(model) for model in classes}
+        return core_schema.tagged_union_schema(schemas, tag_of)

@@ -45,7 +45,7 @@ from meshes.data import MeshData
 from meshes.distribute import TaggedMesh, distribute
 from meshes.geometry import is_hip
 from meshes.gruen import Zones
-from meshes.pieces import Parts
+from meshes.pieces import MeshPieces
 
 log = logging.getLogger("mantle")
 
@@ -167,19 +167,21 @@ class Model:
             self.analysis, self.mechanical_path = self._assemble()
             self.records: dict[str, Record] = {}
             self.probes: ProbedMechanics | None = None
-            heating, m = self.analysis.heating, self.mechanical_path
-            if m:
-                self.probes = ProbedMechanics(case, m.problem)
+            heating, mechanics = self.analysis.heating, self.mechanical_path
+            if mechanics:
+                self.probes = ProbedMechanics(case, mechanics.problem)
                 heat = heating.step if heating else None
-                self.records = records(case, Followed(m.problem, m.stresses, m.zones, heat))
+                self.records = records(
+                    case, Followed(mechanics.problem, mechanics.stresses, mechanics.zones, heat)
+                )
             self.thermal: ThermalModel | None = None
             if self.analysis.heating:
                 self.thermal = ThermalModel(case, self.analysis.heating, self.analysis.problem)
-        self._other_models[:] = [m for m in self._other_models if not self.deforms_like(m.case)] + [
-            self
-        ]
+        self._other_models[:] = [
+            model for model in self._other_models if not self.deforms_like(model.case)
+        ] + [self]
 
-    def _mesh(self, comm: MPI.Comm) -> tuple[TaggedMesh, str, Parts | None]:
+    def _mesh(self, comm: MPI.Comm) -> tuple[TaggedMesh, str, MeshPieces | None]:
         """The mesh, its digest, and its connected pieces on rank 0; collective."""
         case = self.case
         for model in self._other_models:
@@ -202,8 +204,8 @@ class Model:
         case, same_stiffness = self.case, None
         earlier: Model | None = None
         for model in self._other_models if not self.scene.stiffens else ():
-            m = model.mechanical_path
-            if m is None or m.problem.body_forms.by_density:
+            mechanics = model.mechanical_path
+            if mechanics is None or mechanics.problem.body_forms.by_density:
                 continue
             if model.deforms_like(case):
                 earlier = model
@@ -212,7 +214,7 @@ class Model:
             if has_same_stiffness and all(
                 support.stages is None for support in self.scene.supports
             ):
-                same_stiffness = same_stiffness or m.problem
+                same_stiffness = same_stiffness or mechanics.problem
         options = case.solver
         settings = SolverSettings(
             tolerance=options.tolerance,
@@ -242,10 +244,12 @@ class Model:
     def layers(self) -> list[FieldGroup]:
         """Groups of fields to be written: mechanics, heat."""
         field_groups: list[FieldGroup] = []
-        m = self.mechanical_path
-        if m:
+        mechanics = self.mechanical_path
+        if mechanics:
             field_groups.append(
-                MechanicalFields(m.problem, m.stresses, self.records.values(), m.bonds)
+                MechanicalFields(
+                    mechanics.problem, mechanics.stresses, self.records.values(), mechanics.bonds
+                )
             )
         t = self.thermal
         if t:
@@ -285,11 +289,11 @@ class Model:
                 t.update(accepted)
             on_heat(step, accepted)
 
-        m, stages = self.mechanical_path, self.scene.stages
-        predictors = self._predictors(m) if m else ()
+        mechanics, stages = self.mechanical_path, self.scene.stages
+        predictors = self._predictors(mechanics) if mechanics else ()
         self._steppers = self.analysis.steppers(on_step, on_accepted, on_trouble, predictors)
         if self._steppers.load:
-            self._steppers.others = steppers(stages, self, self._steppers.load)
+            self._steppers.extension_steppers = steppers(stages, self, self._steppers.load)
         return self._steppers.run(stages, on_stage, checkpoint_point, resume())
 
     def saved_parts(self) -> dict[str, object]:
@@ -302,16 +306,24 @@ class Model:
             "load_stepper": self._steppers.load,
             "creep_stepper": self._steppers.creep,
         }
-        return saved_objects | {f"stepper of {key}": s for key, s in self._steppers.others.items()}
+        return saved_objects | {
+            f"stepper of {key}": s for key, s in self._steppers.extension_steppers.items()
+        }
 
-    def _predictors(self, m: Mechanical) -> tuple[Predictor, ...]:
+    def _predictors(self, mechanics: Mechanical) -> tuple[Predictor, ...]:
         """States of earlier models and, for large models, a start from a cheaper one."""
-        if m.problem.contact is None or self.scene.conductors or m.solver.linear.exact:
-            return (m.neighbours,)
-        case = cheaper(self.case, sum(m.solver.block_sizes.values()))
+        if (
+            mechanics.problem.contact is None
+            or self.scene.conductors
+            or mechanics.solver.linear.exact
+        ):
+            return (mechanics.neighbours,)
+        case = cheaper(self.case, sum(mechanics.solver.block_sizes.values()))
         if case is None:
-            return (m.neighbours,)
-        return m.neighbours, CoarseModelStart(m.problem, m.solver, lambda: self._cheaper(case))
+            return (mechanics.neighbours,)
+        return mechanics.neighbours, CoarseModelStart(
+            mechanics.problem, mechanics.solver, lambda: self._cheaper(case)
+        )
 
     def separate_model(self, case: Case, purpose: str) -> Model:
         """A model of another case that shares nothing with this one; timed as ``purpose``."""
@@ -335,20 +347,22 @@ class Model:
     def numbers(self, samples: ContactSamples | None) -> Summary:
         """All published numbers; collective."""
         numbers: Summary = {"interfaces": {}, "regions": {}, "stem": {}, "probes": {}}
-        m = self.mechanical_path
-        if m:
-            elastic = m.problem.scene.elastic
+        mechanics = self.mechanical_path
+        if mechanics:
+            elastic = mechanics.problem.scene.elastic
             if samples is not None:
                 numbers["interfaces"] = {name: dict(q) for name, q in samples.numbers.items()}
-            numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
-            bonds = m.bonds.numbers()
+            numbers["regions"] = {e.region: mechanics.stresses.region(e.region) for e in elastic}
+            bonds = mechanics.bonds.numbers()
             if bonds:
                 numbers["bonds"] = bonds
-            creep = m.problem.creep
+            creep = mechanics.problem.creep
             if creep:
                 numbers["creep"] = {creep.measure: creep.elapsed, "dissipation": creep.dissipated}
-            numbers["stem"] = m.stem(self.case.side) | of_collar(self.case, numbers["interfaces"])
-            femur = of_femur(m.problem, self.case)
+            numbers["stem"] = mechanics.stem(self.case.side) | of_collar(
+                self.case, numbers["interfaces"]
+            )
+            femur = of_femur(mechanics.problem, self.case)
             if femur:
                 numbers["femur"] = femur
             if self.probes:
@@ -379,15 +393,17 @@ class Model:
             numbers["layers"] = notes["layers"]
         if "cortex_min" in notes:
             numbers["cortex_min"] = notes["cortex_min"]
-        m = self.mechanical_path
-        if m and m.zones:
-            numbers["gruen"] = by_zone(m.problem, m.stresses, samples, m.zones)
+        mechanics = self.mechanical_path
+        if mechanics and mechanics.zones:
+            numbers["gruen"] = by_zone(
+                mechanics.problem, mechanics.stresses, samples, mechanics.zones
+            )
 
     def relative(self, case: Case) -> Summary:
         """Solve a companion case; return its numbers; collective."""
         other_model = self._other_model(case, Timing("estimating errors"))
         last_trial: TrialState | None = None
-        m = other_model.mechanical_path
+        mechanics = other_model.mechanical_path
 
         def keep(step: LoadStep, trial: TrialState | None) -> None:
             nonlocal last_trial
@@ -395,7 +411,9 @@ class Model:
 
         other_model.go(keep, on_trouble=lambda message: log.debug("     %s", message))
         samples = (
-            ContactSamples(m.problem, last_trial, None, m.surfaces) if m and last_trial else None
+            ContactSamples(mechanics.problem, last_trial, None, mechanics.surfaces)
+            if mechanics and last_trial
+            else None
         )
         return other_model.numbers(samples)
 
@@ -426,7 +444,7 @@ def _stiffness(case: Case) -> tuple[object, ...]:
 
 def _matrices(case: Case) -> tuple[object, ...]:
     """All data of a case on which its matrices and compiled forms depend."""
-    loads = [(name, load.place) for name, load in case.loads.items()]
+    loads = [(name, load.form_key) for name, load in case.loads.items()]
     contacts = [name for name, law in case.interfaces.items() if law.can_part]
     return *_stiffness(case), loads, contacts
 

@@ -102,11 +102,11 @@ class Recorder:
         centre_of_moments = np.array(case.geometry.points.get("head_centre", (0.0, 0.0, 0.0)))
         self.balance: Balance | None = None
         self._critical: dict[str, float] = {}
-        m = model.mechanical_path
-        if m:
+        mechanics = model.mechanical_path
+        if mechanics:
             with timing.phase("assemble"):
-                self.balance = m.balance(centre_of_moments)
-                self._critical, friction_warnings = failure.beyond_critical(m.problem)
+                self.balance = mechanics.balance(centre_of_moments)
+                self._critical, friction_warnings = failure.beyond_critical(mechanics.problem)
             for warning in friction_warnings:
                 log.warning("%s", warning)
         self.samples: ContactSamples | None = None
@@ -122,17 +122,17 @@ class Recorder:
     @property
     def row_keys(self) -> dict[str, Ints]:
         """Keys of owned contact points."""
-        m = self._model.mechanical_path
-        contact = m.problem.contact if m else None
+        mechanics = self._model.mechanical_path
+        contact = mechanics.problem.contact if mechanics else None
         return dict.fromkeys(("contact_state", "valley"), contact.row_keys) if contact else {}
 
     def restored(self) -> None:
         """Continue from a restored model; collective."""
         # Before the first solve of the mechanics the balance is at rest, without temperatures.
-        m = self._model.mechanical_path
-        if self.mechanical_row and m and self.balance:
-            u, q = m.solver.u_and_q()
-            trial = m.problem.trial(u, q) if q is not None else None
+        mechanics = self._model.mechanical_path
+        if self.mechanical_row and mechanics and self.balance:
+            u, q = mechanics.solver.u_and_q()
+            trial = mechanics.problem.trial(u, q) if q is not None else None
             self.balance.continue_from(u, trial)
             if trial is not None:
                 pressures = self.contact_state["pressures"].astype(np.float64)
@@ -140,7 +140,9 @@ class Recorder:
                 law = replace(trial.law, pressures=pressures, status=status)
                 trial = replace(trial, law=law)
                 jump_at_valley = self.valley.get("jump")
-                self.samples = ContactSamples(m.problem, trial, jump_at_valley, m.surfaces)
+                self.samples = ContactSamples(
+                    mechanics.problem, trial, jump_at_valley, mechanics.surfaces
+                )
         if self.writer.fields and not self.writer.field_steps:
             self.fields_at = 0
 
@@ -159,15 +161,17 @@ class Recorder:
     def step(self, step: LoadStep, trial: TrialState | None) -> None:
         """Record a step of the mechanics; collective."""
         with self._timing.phase("output"):
-            m, balance = self._model.mechanical_path, self.balance
-            assert m is not None and balance is not None
-            balance.update(m.solver.u_and_q()[0], trial)
+            mechanics, balance = self._model.mechanical_path, self.balance
+            assert mechanics is not None and balance is not None
+            balance.update(mechanics.solver.u_and_q()[0], trial)
             if trial is not None:
                 self.contact_state = {"pressures": trial.law.pressures, "status": trial.law.status}
                 jump_at_valley = self.valley.get("jump")
-                self.samples = ContactSamples(m.problem, trial, jump_at_valley, m.surfaces)
+                self.samples = ContactSamples(
+                    mechanics.problem, trial, jump_at_valley, mechanics.surfaces
+                )
             self.total.count(step.outcome)
-            stem_motion = m.stem(self._case.side)
+            stem_motion = mechanics.stem(self._case.side)
             columns = [
                 q for key, q in TABLE["stem"].items() if q.step_record and key in stem_motion
             ]
@@ -231,8 +235,8 @@ class Recorder:
             "moment balance [-]": balance.moment,
             "energy balance [-]": balance.energy,
         }
-        m = self._model.mechanical_path
-        creep = m.problem.creep if m else None
+        mechanics = self._model.mechanical_path
+        creep = mechanics.problem.creep if mechanics else None
         if creep:
             row[f"creep {creep.measure} [{creep.unit}]"] = creep.elapsed
             row["creep dissipation [N mm]"] = creep.dissipated
@@ -241,7 +245,7 @@ class Recorder:
         columns = [c for c in TABLE["interfaces"].values() if c.step_record]
         for name, q in (self.samples.step_numbers if self.samples else {}).items():
             row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns if c.key in q}
-        for name, q in m.bonds.numbers(strong=True).items() if m else ():
+        for name, q in mechanics.bonds.numbers(strong=True).items() if mechanics else ():
             columns = [c for c in TABLE["bonds"].values() if c.step_record]
             row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns}
         return row
@@ -282,8 +286,8 @@ class Recorder:
     def summary(self, status: str, total: Effort | None) -> Summary:
         """The summary of the last committed state; collective."""
         model, counted = self._model, total or self.total
-        m = model.mechanical_path
-        contact = m and m.problem.contact
+        mechanics = model.mechanical_path
+        contact = mechanics and mechanics.problem.contact
         comm, sizes = model.tagged.mesh.comm, model.sizes()
         b, t = self.balance, model.thermal
         balance = {"force": b.force, "moment": b.moment, "energy": b.energy} if b else {}
@@ -333,10 +337,10 @@ class Recorder:
 
     def close(self, status: str, verdicts: Sequence[Verdict]) -> None:
         """Write the last converged state and the verdicts, if the disk allows; collective."""
-        m = self._model.mechanical_path
-        if m:
+        mechanics = self._model.mechanical_path
+        if mechanics:
             # The problem still has the loads of the failed step.
-            m.problem.set_time(self.time)
+            mechanics.problem.set_time(self.time)
 
         def finish() -> None:
             summary = self.summary(status, None)

@@ -32,5 +32,5 @@ def steppers(
     stages: Iterable[Stage], model: Any, load_stepper: LoadStepper
 ) -> dict[str, StageStepper]:
     """The steppers that stages need, by key; collective."""
-    keys = dict.fromkeys(stage.other.key for stage in stages if stage.other)
+    keys = dict.fromkeys(stage.extension_kind.key for stage in stages if stage.extension_kind)
     return {key: MAKERS[key](model, load_stepper) for key in keys}

@@ -24,7 +24,7 @@ from app.laws.values import gap_at
 from app.numerics.rigid_motions import add_relative, describe, rigid_modes
 from app.soundness.loose_bodies import FREE
 from app.system.layout import point_text
-from meshes.pieces import Parts, Piece
+from meshes.pieces import MeshPieces, Piece
 
 # Contact without friction barely resists a motion if its mean slope against it is below this [deg].
 SLOPE = 3.0
@@ -35,7 +35,7 @@ JUST_AFTER = 1e-3
 
 
 def law_between(
-    case: Case, parts: Parts, pieces: tuple[int, int]
+    case: Case, parts: MeshPieces, pieces: tuple[int, int]
 ) -> tuple[str, InterfaceLaw | None]:
     """Name of the interface between two pieces, empty if there is none, and its law."""
     a, b = (parts.pieces[k].region for k in pieces)
@@ -45,19 +45,19 @@ def law_between(
     return "", None
 
 
-def groups_of(case: Case, parts: Parts) -> list[list[int]]:
+def groups_of(case: Case, parts: MeshPieces) -> list[list[int]]:
     """Pieces that move together: bonded to each other, or of one region and joined."""
     laws = [(t.pieces, law_between(case, parts, t.pieces)[1]) for t in parts.touches]
     return _groups(parts, [pieces for pieces, law in laws if law is None or not law.can_open])
 
 
-def bodies_of(case: Case, parts: Parts) -> list[list[int]]:
+def bodies_of(case: Case, parts: MeshPieces) -> list[list[int]]:
     """Return the pieces of each body; pieces that can move apart belong to different bodies."""
     laws = [(t.pieces, law_between(case, parts, t.pieces)[1]) for t in parts.touches]
     return _groups(parts, [pieces for pieces, law in laws if law is None or not law.can_part])
 
 
-def _groups(parts: Parts, joined_pairs: list[tuple[int, int]]) -> list[list[int]]:
+def _groups(parts: MeshPieces, joined_pairs: list[tuple[int, int]]) -> list[list[int]]:
     label = list(range(len(parts.pieces)))
     for a, b in (*joined_pairs, *parts.joined):
         label = [label[a] if k == label[b] else k for k in label]
@@ -74,7 +74,7 @@ def holds(support: AnySupport, stage: str) -> bool:
     return support.stages is None or stage in support.stages
 
 
-def directions(support: AnySupport, parts: Parts, nodes: Ints) -> Floats:
+def directions(support: AnySupport, parts: MeshPieces, nodes: Ints) -> Floats:
     """Directions that a support holds at nodes of its boundary, as rows (n, k, 3)."""
     normal = support.normal
     if normal == "face":
@@ -83,7 +83,7 @@ def directions(support: AnySupport, parts: Parts, nodes: Ints) -> Floats:
     return np.broadcast_to(rows, (len(nodes), len(rows), 3))
 
 
-def gaps_of(case: Case, parts: Parts) -> dict[str, Floats]:
+def gaps_of(case: Case, parts: MeshPieces) -> dict[str, Floats]:
     """Gap at full amplitude at the nodes of each contact interface (n,) [mm]."""
     return {
         name: law.gap_field(name, case.geometry)(parts.x[parts.on_interface(name)])
@@ -92,12 +92,12 @@ def gaps_of(case: Case, parts: Parts) -> dict[str, Floats]:
     }
 
 
-def floating_bodies(case: Case, parts: Parts) -> list[Verdict]:
+def floating_bodies(case: Case, parts: MeshPieces) -> list[Verdict]:
     """Errors on bodies that nothing holds."""
     return BodiesOnMesh(case, parts).unheld()
 
 
-def loosely_held_bodies(case: Case, parts: Parts) -> list[Verdict]:
+def loosely_held_bodies(case: Case, parts: MeshPieces) -> list[Verdict]:
     """Notes on bodies that contact barely holds."""
     return BodiesOnMesh(case, parts).loosely_held()
 
@@ -105,7 +105,7 @@ def loosely_held_bodies(case: Case, parts: Parts) -> list[Verdict]:
 class BodiesOnMesh:
     """Rigid motions of groups of pieces that supports leave, and their resistance by contact."""
 
-    def __init__(self, case: Case, parts: Parts) -> None:
+    def __init__(self, case: Case, parts: MeshPieces) -> None:
         self._case, self._parts, self._groups = case, parts, groups_of(case, parts)
         self._group_of_part = {p: n for n, group in enumerate(self._groups) for p in group}
         self._origin = parts.x.mean(axis=0)

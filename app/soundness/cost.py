@@ -241,7 +241,7 @@ def solves(case: Case) -> tuple[int, int]:
         number = stage.increments * stage.load_segments
         steps += 0 if stage.duration else number * scene.rotation_substeps(k, 1 / number)
     steps += CREEP * sum(1 for stage in case.stages if stage.creep)
-    steps += sum(stage.other.solves(case) for stage in case.stages if stage.other)
+    steps += sum(stage.extension_kind.solves(case) for stage in case.stages if stage.extension_kind)
     if _proportional(case):
         steps -= case.stages[0].increments - 1  # the others are proportional to the first
     return steps, time_steps

@@ -164,15 +164,17 @@ class Explanation:
     others: Sequence[Verdict] = ()
     free: bool = False
 
-    def error(self, stage: str, reach: float, steps: Sequence[float]) -> ConvergenceError:
+    def error(
+        self, stage: str, reached_fraction: float, steps: Sequence[float]
+    ) -> ConvergenceError:
         """Return the error of the failed solve.
 
         Args:
             stage: Name of the stage.
-            reach: Part of the stage at which the solve failed.
+            reached_fraction: Part of the stage at which the solve failed.
             steps: Lengths of the failed steps, as parts of the stage.
         """
-        place = f"no convergence in stage '{stage}' at {100 * reach:.3g} % of it"
+        place = f"no convergence in stage '{stage}' at {100 * reached_fraction:.3g} % of it"
         residuals = ", ".join(f"{r:.1e}" for r in self.outcome.residuals[-6:])
         return ConvergenceError(
             [
@@ -189,13 +191,15 @@ def bare_verdict(what: str, where: str = "") -> Verdict:
     return Verdict(what, where, severity=Severity.PLAIN)
 
 
-def is_proportional(solver: Solver, set_load: Callable[[float], None], reach: float) -> bool:
+def is_proportional(
+    solver: Solver, set_load: Callable[[float], None], reached_fraction: float
+) -> bool:
     """Return True if the residual is halved by half the load and half the state; collective."""
     full_residual, half_state = solver.residual(solver.failed_state), solver.failed_state.copy()
     half_state.scale(0.5)
-    set_load(reach / 2)
+    set_load(reached_fraction / 2)
     half_residual = solver.residual(half_state)
-    set_load(reach)
+    set_load(reached_fraction)
     half_residual.axpy(-0.5, full_residual)
     return half_residual.norm() <= SAME * full_residual.norm()
 

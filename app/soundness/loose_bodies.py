@@ -370,11 +370,12 @@ def held_by_facets(problem: Problem, trial: TrialState) -> Verdict | None:
     motion_of_points = np.einsum(
         "pij,pjk->pik", R, motions_of_bodies[slave] - motions_of_bodies[master]
     )
-    w, q, sum_ = contact.local.weight, trial.jump, problem.comm.allreduce
-    normal_change = sum_(np.einsum("p,pi,pik->k", w, q, motion_of_points))
-    gram = sum_(np.einsum("p,pik,pil->kl", w, motion_of_points, motion_of_points))
+    areas, jump, global_sum = contact.local.weight, trial.jump, problem.comm.allreduce
+    normal_change = global_sum(np.einsum("p,pi,pik->k", areas, jump, motion_of_points))
+    gram = global_sum(np.einsum("p,pik,pil->kl", areas, motion_of_points, motion_of_points))
     amounts = np.linalg.lstsq(gram, normal_change, rcond=1e-12)[0]
-    if normal_change @ amounts <= PART * sum_(float(np.einsum("p,pi,pi->", w, q, q))):
+    jump_square = global_sum(float(np.einsum("p,pi,pi->", areas, jump, jump)))
+    if normal_change @ amounts <= PART * jump_square:
         return None
     body, mode = divmod(int(np.argmax(np.abs(soft @ amounts))), 6)
     largest_motion = float(np.linalg.norm(motion_of_points @ amounts, axis=1).max(initial=0.0))

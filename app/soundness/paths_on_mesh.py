@@ -16,10 +16,10 @@ from app.scene.scene import build_scene
 from meshes.data import MeshData
 from meshes.geometry import is_hip
 from meshes.paths import PathPoints
-from meshes.pieces import Parts
+from meshes.pieces import MeshPieces
 
 
-def misplaced_paths(case: Case, parts: Parts) -> Iterator[Verdict]:
+def misplaced_paths(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     """Errors on paths without a point in their bodies or without a field, notes on the others."""
     if not case.output.paths:
         return

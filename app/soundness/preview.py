@@ -104,7 +104,7 @@ def describe(case: Case, given: Mapping[str, Mapping[str, object]]) -> str:
 
 
 def _stage(stage: Stage) -> str:
-    seconds = stage.other.seconds(stage) if stage.other else stage.seconds
+    seconds = stage.extension_kind.seconds(stage) if stage.extension_kind else stage.seconds
     time = f"{seconds:g} s, " if seconds else "until nothing changes, " * stage.steady
     steps = f"{stage.increments} increment{'s' if stage.increments > 1 else ''}"
     unit = "cycle" if stage.load_segments == stage.cycles else "way"

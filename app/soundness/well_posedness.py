@@ -38,8 +38,7 @@ from app.system.layout import point_text
 from meshes import location
 from meshes.data import boundary_areas, boundary_facets, interface_facets
 from meshes.gauge_points import GaugeFault, gauge_points
-from meshes.pieces import Parts, lying
-from meshes.pieces import parts as parts_of
+from meshes.pieces import MeshPieces, pieces_of_mesh, touching_without_shared_nodes
 
 if TYPE_CHECKING:
     from meshes import MeshData
@@ -73,16 +72,16 @@ ZERO_EIGENVALUE = 1e-9
 TOUCHED_BY_AXIS = 1e-6
 
 # Function that returns errors and notes on a case on its mesh.
-Check = Callable[[Case, Parts], Iterable[Verdict]]
+Check = Callable[[Case, MeshPieces], Iterable[Verdict]]
 
 
-def mesh_parts(case: Case, data: MeshData) -> Parts:
+def mesh_parts(case: Case, data: MeshData) -> MeshPieces:
     """Parts of a mesh that `judge` examines."""
     faces = {s.boundary for s in case.supports.values() if s.normal == "face"}
-    return parts_of(data, {s.boundary for s in case.supports.values()}, faces, case.faces)
+    return pieces_of_mesh(data, {s.boundary for s in case.supports.values()}, faces, case.faces)
 
 
-def judge(case: Case, parts: Parts) -> list[Verdict]:
+def judge(case: Case, parts: MeshPieces) -> list[Verdict]:
     """Return notes on a case on its mesh.
 
     Raises:
@@ -111,7 +110,7 @@ def _prescribed_displacements(case: Case, name: str, x: Floats) -> Floats:
     return np.multiply.outer(load_history_of(case, support.history), support.named(name).values(x))
 
 
-def _contradictory_supports(case: Case, parts: Parts) -> Iterator[Verdict]:
+def _contradictory_supports(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     """Nodes of a body where two supports prescribe different displacements.
 
     Two bodies that can part may have different displacements where they touch.
@@ -120,7 +119,9 @@ def _contradictory_supports(case: Case, parts: Parts) -> Iterator[Verdict]:
         yield from _contradictory_supports_of(case, parts, pieces)
 
 
-def _contradictory_supports_of(case: Case, parts: Parts, pieces: list[int]) -> Iterator[Verdict]:
+def _contradictory_supports_of(
+    case: Case, parts: MeshPieces, pieces: list[int]
+) -> Iterator[Verdict]:
     """Contradictory supports of one body of some pieces."""
     nodes_of_support = {}
     for name, support in case.supports.items():
@@ -161,7 +162,7 @@ def _contradictory_supports_of(case: Case, parts: Parts, pieces: list[int]) -> I
                 yield note(message, key)
 
 
-def _rotations_not_given(case: Case, parts: Parts) -> Iterator[Verdict]:
+def _rotations_not_given(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     """Rigid regions with finite sliding whose rotation is not prescribed.
 
     A computed rotation would use the contact points from before the sliding.
@@ -181,7 +182,7 @@ def _rotations_not_given(case: Case, parts: Parts) -> Iterator[Verdict]:
                 yield Verdict(message, f"interfaces.{name}", cure)
 
 
-def _motions_with_supports_or_loads(case: Case, parts: Parts) -> Iterator[Verdict]:
+def _motions_with_supports_or_loads(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     """Errors on rotating regions with supports, notes on loads of prescribed motions."""
     for name, motion in case.motions.items():
         pieces_of_region = {
@@ -207,7 +208,7 @@ def _motions_with_supports_or_loads(case: Case, parts: Parts) -> Iterator[Verdic
             yield note(message, f"motions.{name}.translation")
 
 
-def _fibre_axes_in_cells(case: Case, parts: Parts) -> Iterator[Verdict]:
+def _fibre_axes_in_cells(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     """Fibre axes that meet cells of their region, where fibres have no direction."""
     for name, region in case.regions.items():
         owners = {f"regions.{name}": region, f"regions.{name}.thermal": region.thermal}
@@ -227,7 +228,7 @@ def _fibre_axes_in_cells(case: Case, parts: Parts) -> Iterator[Verdict]:
                 yield Verdict(message, f"{key}.fibre", cure)
 
 
-def _sides_that_do_not_fit(case: Case, parts: Parts) -> Iterator[Verdict]:
+def _sides_that_do_not_fit(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     """Interfaces without facets and finite sliding, or with both; sides on wrong surfaces."""
     for name, sides in case.geometry.interface_sides.items():
         shared_facets = len(interface_facets(parts.data, name)[0])
@@ -254,7 +255,7 @@ def _sides_that_do_not_fit(case: Case, parts: Parts) -> Iterator[Verdict]:
                 yield Verdict(message, f"interfaces.{name}.between", cure)
 
 
-def _misplaced_probes(case: Case, parts: Parts) -> Iterator[Verdict]:
+def _misplaced_probes(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     """Probes that are not in their regions, gauges that do not fit their surfaces."""
     data = parts.data
     for name, probe in case.output.probes.items():
@@ -285,7 +286,7 @@ def _misplaced_gauge(data: MeshData, key: str, gauge: StrainGauge) -> list[Verdi
     return [Verdict(message, f"{key}.at", cure)]
 
 
-def _followers_moved_twice(case: Case, parts: Parts) -> Iterator[Verdict]:
+def _followers_moved_twice(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     """Nodes of slaves with finite sliding that a support or another interface moves, too."""
 
     def nodes(boundary: str) -> NDArray[np.int64]:
@@ -327,7 +328,7 @@ def _meets_axis(x: Floats, axis: Floats, point_on_axis: Floats) -> NDArray[np.bo
     return np.asarray(is_near | (angles_between.max(axis=1) <= np.pi + TOUCHED_BY_AXIS))
 
 
-def _clamped_interfaces(case: Case, parts: Parts) -> Iterator[Verdict]:
+def _clamped_interfaces(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     """Interfaces with both sides held by supports along all axes."""
     for name in gaps_of(case, parts):
         held_masks: list[NDArray[np.bool_]] = []
@@ -352,7 +353,7 @@ def _clamped_interfaces(case: Case, parts: Parts) -> Iterator[Verdict]:
             yield note(message)
 
 
-def _dependent_jumps(case: Case, parts: Parts) -> list[Verdict]:
+def _dependent_jumps(case: Case, parts: MeshPieces) -> list[Verdict]:
     """A note on vertices with more interfaces than independent jumps: some jumps follow."""
     interfaces_that_part = [name for name, law in case.interfaces.items() if law.can_part]
     regions_of_bodies = {
@@ -383,7 +384,7 @@ def _dependent_jumps(case: Case, parts: Parts) -> list[Verdict]:
 # Proportions
 
 
-def _side_spans(case: Case, parts: Parts, name: str) -> tuple[float, float]:
+def _side_spans(case: Case, parts: MeshPieces, name: str) -> tuple[float, float]:
     """Mean thickness behind the elastic sides of an interface, 0 if rigid, and its size [mm]."""
     touches = [t for t in parts.touches if law_between(case, parts, t.pieces)[0] == name]
     area = sum(float(t.areas.sum()) for t in touches)
@@ -397,7 +398,7 @@ def _side_spans(case: Case, parts: Parts, name: str) -> tuple[float, float]:
     return thickness, float(np.linalg.norm(np.ptp(x, axis=0)))
 
 
-def _large_gaps(case: Case, parts: Parts) -> Iterator[Verdict]:
+def _large_gaps(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     """Gaps and interferences that are not small."""
     for name, gap in gaps_of(case, parts).items():
         factors = (0.0, *load_history_of(case, case.interfaces[name].gap_multipliers))
@@ -427,7 +428,7 @@ def _large_gaps(case: Case, parts: Parts) -> Iterator[Verdict]:
             yield note(message, key, remedy)
 
 
-def _large_displacements(case: Case, parts: Parts) -> Iterator[Verdict]:
+def _large_displacements(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     """Prescribed displacements that are not small."""
     model_size = float(np.linalg.norm(np.ptp(parts.x, axis=0)))
     for name, s in case.supports.items():
@@ -443,7 +444,7 @@ def _large_displacements(case: Case, parts: Parts) -> Iterator[Verdict]:
             yield note(message, f"supports.{name}", WRONG_UNIT)
 
 
-def _large_strains(case: Case, parts: Parts) -> Iterator[Verdict]:
+def _large_strains(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     """Loads that strain the material under them by more than `STRAIN`."""
     areas = boundary_areas(parts.data)
     for name, load in case.loads.items():
@@ -467,13 +468,13 @@ def _large_strains(case: Case, parts: Parts) -> Iterator[Verdict]:
 # Faults of the mesh
 
 
-def _messages_of_the_mesher(case: Case, parts: Parts) -> Iterator[Verdict]:
+def _messages_of_the_mesher(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     """Notes that were made with the mesh."""
     for message in parts.data.notes.get("messages", ()):
         yield note(message)
 
 
-def _open_cracks(case: Case, parts: Parts) -> Iterator[Verdict]:
+def _open_cracks(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     """Coincident nodes that are not joined, and faces on each other without a common node."""
     slides = [{*chain(*case.geometry.interface_sides[n])} for n in parts.faces]
     for (a, b), x in parts.doubled.items():
@@ -491,7 +492,7 @@ def _open_cracks(case: Case, parts: Parts) -> Iterator[Verdict]:
         yield note(message, region_text, cure)
     if case.geometry.kind != "file":
         return
-    for (a, b), (area, place) in lying(parts.data).items():
+    for (a, b), (area, place) in touching_without_shared_nodes(parts.data).items():
         sliding = a != b and any({a, b} <= regions for regions in slides)
         if sliding or (a, b) in parts.doubled or (b, a) in parts.doubled:
             continue
@@ -507,7 +508,7 @@ def _open_cracks(case: Case, parts: Parts) -> Iterator[Verdict]:
         yield note(message, cure=cure)
 
 
-def _doubtful_unit(case: Case, parts: Parts) -> list[Verdict]:
+def _doubtful_unit(case: Case, parts: MeshPieces) -> list[Verdict]:
     """A note on a mesh file in a doubtful unit."""
     size = float(np.linalg.norm(np.ptp(parts.x, axis=0)))
     smallest, largest = USUAL_DIAGONALS
@@ -519,7 +520,7 @@ def _doubtful_unit(case: Case, parts: Parts) -> list[Verdict]:
     return [note(message, "geometry")]
 
 
-def _too_stiff_in_bending(case: Case, parts: Parts) -> Iterator[Verdict]:
+def _too_stiff_in_bending(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     """Slender regions of linear cells, which are too stiff in bending."""
     if case.mesh.order != 1:
         return

@@ -132,9 +132,9 @@ class HeatedMechanics:
         steps = max(math.ceil(self._largest_change(current_state) / self._limit - ROUNDING), 1)
         self.previous = current_state
 
-        def set_load(s: float) -> None:
-            self._load_stepper.problem.set_time(start_time + s * (end_time - start_time))
-            self._apply(previous_state, current_state, s)
+        def set_load(fraction: float) -> None:
+            self._load_stepper.problem.set_time(start_time + fraction * (end_time - start_time))
+            self._apply(previous_state, current_state, fraction)
 
         self._load_stepper.run_path(self._stage, 1.0 / steps, set_load, start_time, end_time)
 
@@ -179,10 +179,10 @@ class SolvedAfterHeat(HeatedMechanics):
 
     time = 0.0
 
-    def begin(self, k: int, stage: Stage, anew: bool) -> None:
+    def begin(self, k: int, stage: Stage, is_new: bool) -> None:
         """Begin a stage that takes time, or continue it after a restart."""
         self._stage = stage
-        if anew:
+        if is_new:
             self.time, self.previous = float(k), self._current_state()
 
     def follow(self, time: float, ends_increment: bool) -> None:
@@ -205,10 +205,10 @@ class SolvedWithHeat(HeatedMechanics):
         self._system = system
         self.stage_start = self.committed_at = heating.seconds
 
-    def begin(self, k: int, stage: Stage, anew: bool) -> None:
+    def begin(self, k: int, stage: Stage, is_new: bool) -> None:
         """Begin a stage that takes time, or continue it after a restart."""
         self._stage = stage
-        if anew:
+        if is_new:
             self.stage_start = self.committed_at = self._heating.seconds
         self._system.begin_stage(k, stage, self.stage_start)
         self._system.restore(self._heating.solver.blocks())

@@ -285,11 +285,11 @@ class GivenLoads:
         """Accept a solved step; lengthen the next one if it took few iterations."""
         if math.isinf(error):
             return False
-        p, increment = self.progress, self._path.increment
-        p.done = step.end
-        if error <= EASY_ITERATIONS and p.step < increment:
-            p.step = min(STEP_GROWTH * p.step, increment)
-            p.cuts = max(p.cuts - 1, 0)
+        progress, increment = self.progress, self._path.increment
+        progress.done = step.end
+        if error <= EASY_ITERATIONS and progress.step < increment:
+            progress.step = min(STEP_GROWTH * progress.step, increment)
+            progress.cuts = max(progress.cuts - 1, 0)
         return True
 
     # Steps
@@ -324,7 +324,7 @@ class GivenLoads:
         Raises:
             ConvergenceError: The step cannot or may not be halved.
         """
-        problem, solver, p = self._problem, self._solver, self.progress
+        problem, solver, progress = self._problem, self._solver, self.progress
         stage, set_load = self._path.stage, self._path.set_load
         self._stepper.total.rejected += 1
         self.start.copy(solver.x)
@@ -335,7 +335,7 @@ class GivenLoads:
                 problem, solver, stage.fracture_step, path_of_step, set_load
             )
             if self.energy_start is not None:
-                p.energy = stage.fracture_step
+                progress.energy = stage.fracture_step
                 self._reset()
                 return
             self.start.copy(solver.x)
@@ -348,13 +348,13 @@ class GivenLoads:
             return
         # If a body is free, halving hardly helps: it is tried once.
         allowed_cuts = min(1, stage.max_cut_backs) if explanation.free else stage.max_cut_backs
-        if fails_alike or not stage.adaptive or p.cuts >= allowed_cuts:
+        if fails_alike or not stage.adaptive or progress.cuts >= allowed_cuts:
             time = self._path.time(step.end) - int(self._path.begin)
             raise explanation.error(stage.name, time, self._halved_lengths)
-        p.cuts += 1
-        p.step = step.length / 2
-        self._halved_lengths.append(p.step)
-        remedy_text = f"step halved to {p.step:.4g} of stage '{stage.name}'"
+        progress.cuts += 1
+        progress.step = step.length / 2
+        self._halved_lengths.append(progress.step)
+        remedy_text = f"step halved to {progress.step:.4g} of stage '{stage.name}'"
         self._stepper.on_trouble(f"{explanation.cause.what}; {remedy_text}")
 
     def commit(self, step: Step, started: float) -> None:
@@ -396,8 +396,8 @@ class GivenEnergy:
 
     def propose(self) -> Step:
         """Return the next step: its length is its energy [N mm], its end unknown."""
-        p = self.progress
-        return Step(p.done, p.done, p.energy, ends_increment=False)
+        progress = self.progress
+        return Step(progress.done, progress.done, progress.energy, ends_increment=False)
 
     def judge(self, step: Step, error: float) -> bool:
         """Accept a step that was solved before the end of the path."""
@@ -407,11 +407,11 @@ class GivenEnergy:
 
     def try_step(self, step: Step) -> float:
         """Solve a step; collective."""
-        p = self.progress
+        progress = self.progress
         if self._control is None:
             arguments = self._stepper.problem, self._solver, self._path.set_load
             self._control = EnergyControl(*arguments)
-        start = p.done if self._energy_start is None else self._energy_start
+        start = progress.done if self._energy_start is None else self._energy_start
         self._outcome, self._reached = self._control.solve(step.length, start)
         self._stepper.total.count(self._outcome)
         return 0.0 if self._outcome.converged else math.inf
@@ -422,24 +422,25 @@ class GivenEnergy:
         Raises:
             ConvergenceError: Steps of given loads have already failed at this part of the path.
         """
-        p, stage = self.progress, self._path.stage
+        progress, stage = self.progress, self._path.stage
         self._start.copy(self._solver.x)
         self._energy_start = None
         if self._outcome.converged:  # beyond the end of the path
-            p.energy, p.step = 0.0, 1.0 - p.done
+            progress.energy, progress.step = 0.0, 1.0 - progress.done
             return
         self._stepper.total.rejected += 1
-        p.energy = step.length / 2
-        if p.energy > self._largest_energy / 2**HALVINGS:
+        progress.energy = step.length / 2
+        if progress.energy > self._largest_energy / 2**HALVINGS:
             return
-        if p.handed_over_at != p.done:
-            p.energy, p.step, p.handed_over_at = 0.0, self._path.increment, p.done
+        if progress.handed_over_at != progress.done:
+            progress.energy, progress.step = 0.0, self._path.increment
+            progress.handed_over_at = progress.done
             return
         message = (
-            f"no state dissipates {p.energy:.3g} N mm more at the interfaces; the load has reached "
-            f"{100 * max(p.reached, p.done):.3g} % of the stage"
+            f"no state dissipates {progress.energy:.3g} N mm more at the interfaces; the load has "
+            f"reached {100 * max(progress.reached, progress.done):.3g} % of the stage"
         )
-        location = f"stage '{stage.name}' at {100 * p.done:.3g} % of it"
+        location = f"stage '{stage.name}' at {100 * progress.done:.3g} % of it"
         cure = (
             "use a shorter `fracture_step` or a finer mesh; if the interface is broken, reduce the "
             "load"
@@ -448,13 +449,15 @@ class GivenEnergy:
 
     def commit(self, step: Step, started: float) -> None:
         """Commit the step last tried; collective."""
-        p, increment, reached = self.progress, self._path.increment, self._reached
-        reached_an_increment = reached - p.done >= increment
-        ends_increment = math.floor(reached / increment) > math.floor(p.done / increment)
-        p.done, p.reached = reached, max(p.reached, reached)
-        p.energy = 0.0 if reached_an_increment else min(2 * step.length, self._largest_energy)
+        progress, increment, reached = self.progress, self._path.increment, self._reached
+        reached_an_increment = reached - progress.done >= increment
+        ends_increment = math.floor(reached / increment) > math.floor(progress.done / increment)
+        progress.done, progress.reached = reached, max(progress.reached, reached)
+        progress.energy = (
+            0.0 if reached_an_increment else min(2 * step.length, self._largest_energy)
+        )
         if reached_an_increment:
-            p.step = increment
+            progress.step = increment
         self.begin(self._solver.x.copy(), None)
         time = self._path.time(reached)
         self._stepper.commit(self._path.stage, time, self._outcome, started, ends_increment)

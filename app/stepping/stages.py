@@ -51,13 +51,14 @@ class Steppers:
         load: Stepper of loads, if there is mechanics.
         heat: Stepper of heat, if regions conduct.
         creep: Stepper of creep, if regions creep.
-        others: Steppers of other packages by the key of their stages (`Stage.other`).
+        extension_steppers: Steppers of other packages by the key of their stages
+            (`Stage.extension_kind`).
     """
 
     load: LoadStepper | None
     heat: HeatStepper | None
     creep: CreepStepper | None
-    others: Mapping[str, StageStepper] = field(default_factory=dict)
+    extension_steppers: Mapping[str, StageStepper] = field(default_factory=dict)
 
     def run(
         self,
@@ -94,8 +95,8 @@ class Steppers:
         return total
 
     def _stepper_of(self, stage: Stage) -> StageStepper | None:
-        if stage.other and self.others:
-            return self.others[stage.other.key]
+        if stage.extension_kind and self.extension_steppers:
+            return self.extension_steppers[stage.extension_kind.key]
         if stage.creep and self.creep is not None:
             return self.creep
         return self.heat if stage.takes_time else self.load

@@ -11,7 +11,7 @@ import pytest
 from app.case.case import load
 from app.fatigue import findings
 from app.fatigue.laws import Fatigue, Murphy, Power, Verdonschot, Weibull
-from app.fatigue.risk import NEAR, distance, tensions, turning_in
+from app.fatigue.risk import NEAR, distance, reentrant_edges, tensions
 from app.foundation.arrays import Floats
 from app.foundation.verdict import recorded
 from app.report import step_curves
@@ -85,16 +85,16 @@ def test_fatigue_weibull_risk_of_a_volume() -> None:
 
 def test_fatigue_reentrant_edges() -> None:
     """Edge of an L, in pieces; none of a bar, and none on the facets around a stem."""
-    edges = turning_in(
+    edges = reentrant_edges(
         support.mesh(load(support.CONFIGS / "verification/corner.yaml").config), "corner"
     )
     length = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).sum()
     assert length == pytest.approx(1.0) and np.all(edges[..., :2] == 10.0)
     x = np.array([[10, 10, 0.5], [7, 6, 0.2], [10, 10, 3.0]])
     np.testing.assert_allclose(distance(x, edges), [0, 5, 2], atol=1e-12)
-    assert not len(turning_in(support.mesh(support.case(SPECTRUM)), "bar"))
+    assert not len(reentrant_edges(support.mesh(support.case(SPECTRUM)), "bar"))
     around = support.mesh(support.case(support.STEM))
-    assert not len(turning_in(around, "cement")) and NEAR > 0
+    assert not len(reentrant_edges(around, "cement")) and NEAR > 0
 
 
 def test_fatigue_life_is_reported_as_a_range(tmp_path: Path) -> None:

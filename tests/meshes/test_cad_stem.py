@@ -53,7 +53,7 @@ def check(file: Path, mesh: str, least: float) -> None:
     """Corners of cells are on the faces of the file, and cells have a shape."""
     known = load(case(file, mesh)).config
     data = meshes.build(known.geometry, known.mesh)
-    assert quality.stubby(data.points, data.cells).min() > least
+    assert quality.quality_without_length(data.points, data.cells).min() > least
     facets, owner = exterior_facets(data.cells)
     neck = facets[data.cell_tags[owner] == data.regions["stem"]]
     low, high, *_, medial = known.geometry.stem.shape["in_file"]

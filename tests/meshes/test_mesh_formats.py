@@ -24,7 +24,7 @@ from app.mesh_files.vtu import lz4_decompress
 from app.soundness.well_posedness import judge, mesh_parts
 from meshes.data import boundary_areas, region_volumes
 from meshes.gmsh_child import session
-from meshes.pieces import lying
+from meshes.pieces import touching_without_shared_nodes
 from tests.meshes.spellings import (
     ALL_FREE,
     AREA,
@@ -959,8 +959,8 @@ def test_mesh_files_coincident_bodies_without_common_nodes_have_a_note(
     if noted:
         assert "share no node" in notes[0] and "neither force nor heat" in notes[0]
         assert "regions 'upper' and 'lower'" in notes[0] or "'lower' and 'upper'" in notes[0]
-        (pair,) = lying(data)
-        area, place = lying(data)[pair]
+        (pair,) = touching_without_shared_nodes(data)
+        area, place = touching_without_shared_nodes(data)[pair]
         assert {*pair} == {"lower", "upper"}
         assert area == pytest.approx(1.13 * 1.07, rel=0.05)
         assert place[2] == pytest.approx(2.0)

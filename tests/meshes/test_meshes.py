@@ -34,7 +34,7 @@ from meshes.data import (
     region_volumes,
 )
 from meshes.gmsh_child import MILLIMETRES, session
-from meshes.pieces import parts
+from meshes.pieces import pieces_of_mesh
 from tests import support
 from tests.robustness.faulty import DAMAGES, damage
 from tests.support import digest
@@ -135,7 +135,7 @@ def test_cylinders_volume_converges(curved: bool) -> None:
 @pytest.mark.parametrize("curved", [False, True])
 def test_cylinders_normals_point_outwards(curved: bool) -> None:
     data = mesh(ROD, 3.0, curved=curved)
-    normals = parts(data, curved=["bone_surface"]).normals["bone_surface"]
+    normals = pieces_of_mesh(data, with_normals=["bone_surface"]).normals["bone_surface"]
     on = np.unique(data.facets[np.isin(data.facet_tags, data.boundaries["bone_surface"])])
     radial = data.points[on] * [1, 1, 0]
     radial /= np.linalg.norm(radial, axis=1)[:, None]

@@ -115,7 +115,7 @@ def test_swept_anteversion_rotates_stem_not_bone(build: Any) -> None:
     kind = Femur if build is femur.build else IntactFemur
     geometry = kind().model_copy(update={"anteversion": angle})
     data = build(geometry, sized(8.0))
-    assert quality.stubby(data.points, data.cells).min() > 0.1
+    assert quality.quality_without_length(data.points, data.cells).min() > 0.1
     end = "stem_trunnion" if kind is Femur else "head"
     x = data.points[np.unique(data.facets[np.isin(data.facet_tags, data.boundaries[end])])]
     across = x @ [-np.sin(angle), np.cos(angle), 0.0]
@@ -358,7 +358,7 @@ def test_swept_random_hips_mesh_at_first_attempt(seed: int, number: int, least_s
             refused += 1
             continue
         made += 1
-        worst = quality.stubby(data.points, data.cells).min()
+        worst = quality.quality_without_length(data.points, data.cells).min()
         # Wedges where thin layers begin are short, for the sake of accuracy.
         assert worst > 0.03, where
         assert Femur.estimate_cells(hip(**values), options) == pytest.approx(
@@ -388,7 +388,7 @@ def test_swept_random_hips_mesh_as_companions() -> None:
 )
 def test_femur_intact_cells_are_good(curved: bool, size: float) -> None:
     data = femur_intact.build(IntactFemur(), sized(size, curved))
-    assert quality.stubby(data.points, data.cells).min() > 0.07
+    assert quality.quality_without_length(data.points, data.cells).min() > 0.07
 
 
 @pytest.mark.parametrize(
@@ -404,7 +404,7 @@ def test_femur_intact_with_other_parameters_meshes_well(values: dict[str, object
     geometry = IntactFemur().model_copy(update=values)
     for size in (8.0, 5.0):
         data = femur_intact.build(geometry, sized(size, False))
-        assert quality.stubby(data.points, data.cells).min() > 0.08, size
+        assert quality.quality_without_length(data.points, data.cells).min() > 0.08, size
 
 
 def test_swept_stem_of_any_length_meshes() -> None:
@@ -413,7 +413,7 @@ def test_swept_stem_of_any_length_meshes() -> None:
     levels = {"section_depth": 32.0, "head_height": 7.0}
     resection = FemurResection(height="-10 mm", angle="0.3 rad")
     out = built(6.0, length=165.0, tip_z=-118.0, resection=resection, **levels)
-    assert quality.stubby(out.points, out.cells).min() > 0.08
+    assert quality.quality_without_length(out.points, out.cells).min() > 0.08
 
 
 @pytest.mark.parametrize(("size", "curved"), [(6.0, False), (4.0, True)])
@@ -429,7 +429,7 @@ def test_swept_low_head_neck_is_clear_of_bone(size: float, curved: bool) -> None
     beside = stem[stem[:, 0] > rim[:, 0].max() + 3.0]
     assert len(beside) > 50
     assert ((beside - middle) @ (normal * np.sign(normal[2]))).min() > 2.0
-    assert quality.stubby(data.points, data.cells).min() > 0.08
+    assert quality.quality_without_length(data.points, data.cells).min() > 0.08
 
 
 def test_swept_curved_cells_have_positive_jacobian() -> None:

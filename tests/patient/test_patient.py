@@ -211,7 +211,7 @@ def test_placement_moves_the_stem_but_not_the_bone(kind: str, tmp_path: Path) ->
     assert np.hypot(x, y) == pytest.approx(periosteum, abs=1e-5)
     head = turn.apply(np.array([43.0, 0.0, 54.0]) - pivot) + pivot + shift
     assert geometry.head_centre == pytest.approx(head, abs=1e-9 if kind == "parametric" else 0.02)
-    assert quality.stubby(data.points, data.cells).min() > 0.05
+    assert quality.quality_without_length(data.points, data.cells).min() > 0.05
 
 
 def test_placement_depth_is_that_of_the_shoulder() -> None:
@@ -239,7 +239,7 @@ def test_placement_shoulder_below_the_cut_has_cement_above(kind: str, folder: Pa
         geometry = femur(**given) if kind == "femur" else patient(folder, **given)
         data = _make(geometry, options(size="6 mm", around=14))
         volumes.append(region_volumes(data))
-        assert quality.stubby(data.points, data.cells).min() > 0.05
+        assert quality.quality_without_length(data.points, data.cells).min() > 0.05
     metal, there = (v["stem"] for v in volumes)
     assert metal == pytest.approx(there, rel=2e-3)
     level, rise = femur_stem.edge(geometry.implant, 0.0), 0.0 if kind == "file" else 7.61 / 21.24
@@ -369,7 +369,7 @@ def test_patient_cells_at_calcar_and_plug_are_sound(tmp_path: Path) -> None:
     geometry = random_patient(tmp_path, 8, *surfaces)
     for order, least, percent in ((1, 0.06, 0.14), (2, 0.05, 0.13)):
         data = _make(geometry, options(size="4 mm", order=order, around=None))
-        stubbiness = quality.stubby(data.points, data.cells)
+        stubbiness = quality.quality_without_length(data.points, data.cells)
         assert stubbiness.min() > least and np.quantile(stubbiness, 0.01) > percent
 
 
@@ -392,7 +392,7 @@ def measured_hip(folder: Path, cement: float, mirrored: bool = False) -> Patient
 def test_patient_measured_femur_meshes_at_any_size(tmp_path: Path, size: float) -> None:
     """A station can cut off the corner of the shoulder next to the neck: a horn of the section."""
     data = _make(measured_hip(tmp_path, 3.0), options(size=f"{size} mm", around=None))
-    assert quality.stubby(data.points, data.cells).min() > 0.035
+    assert quality.quality_without_length(data.points, data.cells).min() > 0.035
 
 
 @measured
@@ -408,7 +408,7 @@ def test_patient_meshes_at_all_sizes(tmp_path: Path, kind: str, cement: float) -
     for tenths in range(80, 19, -1):
         mesh = options(size=f"{tenths / 10} mm", order=2, around=None)
         data = _make(geometry, mesh)
-        assert quality.stubby(data.points, data.cells).min() > 0.03, mesh.size
+        assert quality.quality_without_length(data.points, data.cells).min() > 0.03, mesh.size
 
 
 @measured

@@ -49,7 +49,7 @@ THICKNESSES = [
 def test_geometry_regions_are_connected_and_touch(thickness: float) -> None:
     data = femur(thickness)
     regions = data.regions
-    assert quality.stubby(data.points, data.cells).min() > 0.08
+    assert quality.quality_without_length(data.points, data.cells).min() > 0.08
     assert set(data.boundaries) == set(Femur().boundary_names)
     assert all(area > 0 for area in boundary_areas(data).values())
     # The stem touches bone nowhere, not even at a node.
@@ -94,7 +94,7 @@ def test_geometry_metaphyseal_cortex_has_the_given_thickness(
 ) -> None:
     """Of the vertices of the endosteum, radially; in the shaft they are on the table's."""
     data = meshes.build(kind(metaphyseal_cortex=f"{cortex} mm"), MeshOptions(size="8 mm"))
-    assert quality.stubby(data.points, data.cells).min() > 0.08
+    assert quality.quality_without_length(data.points, data.cells).min() > 0.08
     cell, face, behind = data.between
     bone = data.cell_tags == data.regions["cortical_bone"]
     at = bone[cell] & ~bone[behind]
@@ -176,4 +176,4 @@ def test_geometry_fine_meshes_of_thin_and_thick_mantles(thickness: float) -> Non
     """Cells follow the size in every direction, a cube each, but where layers have one at least."""
     data, coarse = femur(thickness, 1.5), femur(thickness, 6.0)
     assert 0.5 * 64 < len(data.cells) / len(coarse.cells) < 64
-    assert quality.stubby(data.points, data.cells).min() > 0.08
+    assert quality.quality_without_length(data.points, data.cells).min() > 0.08
