@@ -250,7 +250,10 @@ class CadStem:
         return np.array([[1.0, 0.0, -slope], [0.0, 1.0, -slope * self._lean]])
 
     def _path_fraction(self, height: float, slope: float) -> float:
-        """Fraction of the path at which it meets a section; 0 if it begins above."""
+        """Fraction of the neck's path at which the path crosses a section.
+
+        It is from 0 to 1; 0 if the section is below the start of the path.
+        """
         p, q, r = self._path @ [slope, slope * self._lean, 1.0]
         rise = height - p
         if rise <= 0:

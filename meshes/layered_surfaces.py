@@ -302,7 +302,7 @@ class LayeredSurfaces:
 
     @property
     def spans(self) -> Ints:
-        """Spaces between lines over which the collar extends; a space is after its line."""
+        """Numbers of the sectors below the collar; sector k is between lines k and k + 1."""
         each_side = round(self.around * self._geometry.implant.collar_angle / (4 * math.pi))
         each_side = min(max(each_side, 1), (self.around - 1) // 2)
         return np.arange(-each_side, each_side) % self.around

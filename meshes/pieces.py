@@ -213,7 +213,10 @@ def _touches(points: Floats, facets: Ints, first_piece: Ints, second_piece: Ints
 
 
 def _facing(data: MeshData, sides: tuple[str, str], piece_of_facet: Ints) -> list[Touch]:
-    """Touch of two boundaries, on the smaller one, from the piece of each tagged facet."""
+    """Contact of two boundaries meshed apart, on the facets of the smaller one.
+
+    ``piece_of_facet`` has the piece of each tagged facet.
+    """
     masks = [np.isin(data.facet_tags, data.boundaries.get(name, ())) for name in sides]
     smaller, larger = sorted(
         masks, key=lambda side: facet_areas(data.points, data.facets[side]).sum()

@@ -30,7 +30,7 @@ _SAMPLES = np.vstack([np.eye(4), np.eye(4)[np.array(EDGES)].mean(axis=1), np.ful
 
 
 class PoorCellsError(GeometryError):
-    """Cells are inverted or nearly flat; those of another size need not be."""
+    """Cells are inverted or nearly flat; another mesh size may avoid them."""
 
 
 def sicn(points: Floats, cells: Ints) -> Floats:

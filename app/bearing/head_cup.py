@@ -114,7 +114,10 @@ class HeadCup(Shape):
 
     @property
     def spans(self) -> dict[tuple[str | int, ...], tuple[float, float]]:
-        """Diameter of the head; thicknesses of the cup, where chords of two spheres may cross."""
+        """Lengths that limit the size of the cells, by key, with the factors on them.
+
+        The diameter of the head, and the walls of the cup: there chords of both spheres may cross.
+        """
         walls = {"liner_thickness": self.liner_thickness, "shell_thickness": self.shell_thickness}
         wall_spans = {n: (t, math.sqrt(self.head_radius / t)) for n, t in walls.items() if t}
         return {

@@ -129,7 +129,11 @@ def facet_surface(problem: Problem, f: bodies.FacetCells) -> FacetSurface:
 
 
 def _ends(problem: Problem, implant: Sequence[str]) -> list[tuple[Ints, Ints, Ints]]:
-    """Lowest and highest nodes: body and node of this rank's, and which of all ranks' count."""
+    """Nodes at the lower and the upper end of some regions; collective.
+
+    For each end: body and local dof of the nodes on this rank, and rows of the nodes gathered from
+    all ranks without those that occur twice.
+    """
     comm = problem.comm
     cells = {r: problem.body_forms.region_cells(r) for r in implant}
     dofs_of = {r: np.unique(problem.space.dofmap.list[c][:, :4]) for r, c in cells.items()}

@@ -1,4 +1,4 @@
-"""The laws of a case with their places, and the bodies they act on.
+"""Laws of a case with the bodies and boundaries they act on.
 
 Begin with `scene.build_scene`, or `scene.scene_of` from Python.
 """

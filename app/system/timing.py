@@ -67,7 +67,7 @@ class Timing:
                 self._open[-1] = (outer[0] + wall, outer[1] + cpu)
 
     def of(self, part: str) -> Timing:
-        """The same seconds, logged as those of a part."""
+        """View of the same timing that logs under the name of a part."""
         return replace(self, part=part, about={})
 
     def clear(self) -> None:
@@ -77,7 +77,7 @@ class Timing:
 
 
 def peak_memory(of: str = "VmHWM") -> float:
-    """Peak memory of this process, by default of what is resident [MB].
+    """Peak memory of this process [MB], by default the resident memory.
 
     From the kernel's account of this program: `getrusage` includes its parent before exec.
     """

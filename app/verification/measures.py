@@ -76,7 +76,10 @@ def work_lost(run: Run, interface: str, times: ArrayLike) -> Floats:
 
 
 def by_region(region: Ints, values: Sequence[NDArray[np.floating]]) -> Floats:
-    """Of the values (n, k) for each region those of each point (n, k); the last for all others."""
+    """Select for each of n points the values (n, k) of its region.
+
+    Points of further regions have those of the last one.
+    """
     return np.asarray(np.choose(np.minimum(region, len(values))[:, None] - 1, values))
 
 
