@@ -65,7 +65,7 @@ _interface = partial(Quantity, "interfaces")
 add_quantity(
     # Finite sliding, at the end and over a cycle.
     _interface("torque", "N mm", order=ORDER_OF_MOTION, vector=True),
-    _interface("torque_size", "N mm", digits=1, label="torque", order=ORDER_OF_MOTION),
+    _interface("torque_size", "N mm", digits=1, label="torque, magnitude", order=ORDER_OF_MOTION),
     _interface(
         "torque_along",
         "N mm",
@@ -86,18 +86,23 @@ add_quantity(
         sentence="{name}: largest friction torque of a cycle {torque_max}",
         caption="largest friction torque of {name}",
     ),
-    _interface("centre", "mm", order=ORDER_OF_MOTION, vector=True),
+    _interface(
+        "centre", "mm", label="displacement of the master", order=ORDER_OF_MOTION, vector=True
+    ),
     _interface(
         "eccentricity",
         "mm",
         "um",
         1,
+        label="displacement of the master, magnitude",
         order=ORDER_OF_MOTION,
         step_record=True,
         curve=True,
         on_page=True,
     ),
-    _interface("pressure_max_at", "mm", exact=True, vector=True),
+    _interface(
+        "pressure_max_at", "mm", label="position of the largest pressure", exact=True, vector=True
+    ),
     _interface(
         "dissipation_cycle",
         "N mm",
@@ -198,9 +203,15 @@ add_quantity(
         "-",
         "%",
         1,
+        label="fraction of the slave off the master",
         exact=True,
         sentence="{name}: {uncovered_fraction} of the slave surface left the master at some time",
     ),
     _interface("friction_power", "W", digits=3, order=ORDER_OF_MOTION, on_page=True),
-    _interface("temperature_swing", "K", label="swing of the temperature", order=ORDER_OF_TRACTION),
+    _interface(
+        "temperature_swing",
+        "K",
+        label="variation of the surface temperature in a cycle",
+        order=ORDER_OF_TRACTION,
+    ),
 )

@@ -408,9 +408,27 @@ add_quantity(
         "penetration_sampled", "mm", "um", label="penetration between nodes, max", exact=True
     ),
     _interface("penetration_mean", "mm", "um", label="penetration, mean", exact=True),
-    _interface("open_fraction", "-", "%", 0, step_record=True, headline=True),
-    _interface("stick_fraction", "-", "%", 0, step_record=True),
-    _interface("slip_fraction", "-", "%", 0, step_record=True, headline=True),
+    _interface(
+        "open_fraction",
+        "-",
+        "%",
+        0,
+        label="open fraction of the area",
+        step_record=True,
+        headline=True,
+    ),
+    _interface(
+        "stick_fraction", "-", "%", 0, label="sticking fraction of the area", step_record=True
+    ),
+    _interface(
+        "slip_fraction",
+        "-",
+        "%",
+        0,
+        label="slipping fraction of the area",
+        step_record=True,
+        headline=True,
+    ),
     _interface("area_gap_over_30um", "mm^2", label="area of a gap over 30 µm", on_page=True),
     _interface("area_slip_over_30um", "mm^2", label="area of slip over 30 µm", on_page=True),
     _interface("area_motion_over_30um", "mm^2", label="area of motion over 30 µm", on_page=True),
@@ -428,22 +446,36 @@ add_quantity(
     ),
     _interface("force", "N", order=ORDER_OF_MOTION, vector=True),
     _interface("dissipation", "N mm", order=ORDER_OF_SLIP, step_record=True, curve=True),
-    _interface("dissipation_min", "N mm", step_record=True),
-    _interface("contact_work", "N mm", step_record=True),
+    _interface(
+        "dissipation_min",
+        "N mm",
+        label="smallest dissipation of a point in a step",
+        step_record=True,
+    ),
+    _interface("contact_work", "N mm", label="work of the contact pressure", step_record=True),
     # Layers, and cohesive interfaces that break.
     _interface("stored_energy", "N mm", step_record=True),
-    _interface("unbonded_fraction", "-", "%", 1, label="fraction never bonded", exact=True),
+    _interface(
+        "unbonded_fraction", "-", "%", 1, label="fraction of the area that never bonded", exact=True
+    ),
     _interface("area_damaged", "mm^2", digits=1, label="damaged area", step_record=True),
     _interface("area_broken", "mm^2", digits=1, label="broken area", step_record=True),
     _interface(
         "damage_mean", "-", digits=4, label="damage, mean", order=ORDER_OF_MOTION, step_record=True
     ),
     _interface("pressure_by_facets", "MPa", label="pressure caused by facets, max", exact=True),
-    _interface("pressure_mean_max", "MPa", label="pressure, largest mean at a point"),
+    _interface("pressure_mean_max", "MPa", label="mean pressure of a point, max"),
     _interface("zone_length", "mm", digits=1, label="length of the process zone", step_record=True),
     _interface("zone_elements", "-", digits=1, label="elements in the process zone"),
     # Against the strength of the interface.
-    _interface("strength_fraction", "-", "%", 0, label="area above the strength", step_record=True),
+    _interface(
+        "strength_fraction",
+        "-",
+        "%",
+        0,
+        label="fraction of the area above the strength",
+        step_record=True,
+    ),
     _interface("failure_index_max", "-", digits=3, label="failure index, max", peak=True),
     _interface(
         "failure_index_p99",
@@ -457,7 +489,7 @@ add_quantity(
         "failure_load_factor",
         "-",
         digits=3,
-        label="load factor of failure",
+        label="multiple of the load at which 1 % fails",
         order=ORDER_OF_TRACTION,
     ),
 )
@@ -553,7 +585,7 @@ add_quantity(
         "-",
         "%",
         0,
-        label="share of the collar",
+        label="part of the axial force on the collar",
         order=ORDER_OF_MOTION,
         on_page=True,
     ),
@@ -633,7 +665,14 @@ add_quantity(
     ),
 )
 add_quantity(
-    _bond("strength_fraction", "-", "%", 0, label="area above the strength", step_record=True),
+    _bond(
+        "strength_fraction",
+        "-",
+        "%",
+        0,
+        label="fraction of the area above the strength",
+        step_record=True,
+    ),
     _bond("normal_mean", "MPa", label="normal traction, mean"),
     _bond("normal_max", "MPa", label="normal traction, max"),
     _bond("shear_mean", "MPa", label="shear stress, mean"),
@@ -651,7 +690,7 @@ add_quantity(
         "failure_load_factor",
         "-",
         digits=3,
-        label="load factor of failure",
+        label="multiple of the load at which 1 % fails",
         order=ORDER_OF_TRACTION,
     ),
 )
@@ -787,14 +826,14 @@ add_quantity(
         "temperature_max_first_time",
         "s",
         digits=1,
-        label="time of it, first side",
+        label="time of the highest temperature, first side",
         order=ORDER_OF_DOSE,
     ),
     _heated_interface(
         "temperature_max_second_time",
         "s",
         digits=1,
-        label="time of it, second side",
+        label="time of the highest temperature, second side",
         order=ORDER_OF_DOSE,
     ),
     _heated_interface(
@@ -813,8 +852,12 @@ add_quantity(
 add_quantity(
     _cure("degree_min", "-", digits=4, label="degree of cure, min", order=ORDER_OF_DOSE),
     _cure("degree_max", "-", digits=4, label="degree of cure, max", order=ORDER_OF_DOSE),
-    _cure("time_50", "s", digits=1, label="50 % set everywhere", order=ORDER_OF_DOSE),
-    _cure("time_90", "s", digits=1, label="90 % set everywhere", order=ORDER_OF_DOSE),
+    _cure(
+        "time_50", "s", digits=1, label="time until 50 % has set everywhere", order=ORDER_OF_DOSE
+    ),
+    _cure(
+        "time_90", "s", digits=1, label="time until 90 % has set everywhere", order=ORDER_OF_DOSE
+    ),
     _cure("rate_max", "1/s", digits=4, label="rate of cure, max", order=ORDER_OF_DOSE),
 )
 add_quantity(

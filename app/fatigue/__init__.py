@@ -90,9 +90,23 @@ add_record("risk", _risk)
 add_record("stem_test", _potted_stem)
 add_quantity(
     Quantity(
-        "regions", "failure_risk", "-", digits=4, order=ORDER_OF_RISK, peak=True, headline=True
+        "regions",
+        "failure_risk",
+        "-",
+        digits=4,
+        label="Weibull's risk of rupture",
+        order=ORDER_OF_RISK,
+        peak=True,
+        headline=True,
     ),
-    Quantity("regions", "failure_probability", "-", "%", order=ORDER_OF_RISK),
+    Quantity(
+        "regions",
+        "failure_probability",
+        "-",
+        "%",
+        label="probability of failure",
+        order=ORDER_OF_RISK,
+    ),
 )
 add_section(
     NumberSection(

@@ -1,23 +1,27 @@
 """Constitutive laws of interfaces, and their keys in a case.
 
 A law is a section of the case. Its class has the keys, the properties (for example `can_open`), the
-augmentation and the formula in UFL. The path of `friction_coefficient` from the YAML file to the
-residual, step by step:
+augmentation and the formula in UFL.
 
-    Frictional.friction_coefficient, SurfaceZone   the key, also of a zone
-    Unilateral.constants_at_points                 function of points, under the name μ
-    scene.scene.Interface.constants                the same, with the interface
-    mechanics.contact.ContactInterfaces.begin      values at all contact points
-    mechanics.contact_law.PointLaw.begin           input μ of the compiled law
-    Unilateral.response, forms.contact.contact_law force of a point, in UFL
-    mechanics.contact_law.PointLaw.evaluate        forces of all points
-    mechanics.contact.ContactInterfaces.residual   residual
+The path of `friction_coefficient` from the YAML file to the residual. To change the number or where
+it varies, edit the first two steps, here; to change the formula, edit `forms.contact`. The steps
+between pass every constant of a law on by its name:
+
+    Frictional.friction_coefficient, SurfaceZone   the key, also of a zone: a number
+    Unilateral.constants_at_points                 {"μ": f}, f: points (n, 3) -> numbers (n,)
+    scene.scene.Interface.constants                this mapping, kept with the interface
+    mechanics.contact.ContactInterfaces.begin      {"μ": f(x)} at the contact points x of a rank
+    mechanics.contact_law.PointLaw.begin           sets it as the input "μ" of the compiled law
+    Unilateral.response                            `AtPoint.constants["μ"]`, a UFL constant
+    forms.contact.contact_law                      force of a point: friction at most μ p, in UFL
+    mechanics.contact_law.PointLaw.evaluate        runs the compiled law: forces (n, 3) [MPa]
+    mechanics.contact.ContactInterfaces.residual   e + W P: forces of the bodies and of the law [N]
 
 The debonded area of a cohesive interface has a contact law, `Traction.debonded_contact`, whose
 coefficient takes the same path; `PointLaw` multiplies it by the debonded share.
 
 To add a law, derive from `Traction` (a force that is a function of the gap) or from `InterfaceLaw`.
-`app/README.md` has an example.
+`Traction` says what its methods return and what becomes of it. `app/README.md` has an example.
 """
 
 from __future__ import annotations
@@ -146,7 +150,10 @@ class GapState:
 
     Attributes:
         gap: Displacement of the slave minus that of the master, with the initial gap (3,) [mm].
-        normals: Unit normals of the point's faces, from master to slave, each (3,).
+        normals: Unit normals of the point's one to three faces, from master to slave, each (3,).
+            `normals.components(v)` returns the normal components of a vector, one for each face
+            (of the gap: positive if open). `normals.span(a)` returns the vector (3,) with these
+            components. The rest, ``v - span(components(v))``, is tangential.
         internal_variables: Internal variables at the gap by name, as `new_internal_variables`
             returns them. In that method they are those of the last converged state.
         committed: Internal variables of the last converged state, by name.
@@ -677,7 +684,19 @@ class Traction(InterfaceLaw):
     """Base of laws whose force is an explicit function of the gap, such as layers and cohesion.
 
     A subclass declares its keys. In its methods the keys are UFL scalars, and the argument is the
-    state of the point at a gap.
+    state of the point at a gap. `traction` is required. Inside the program a subclass is in this
+    module and its formula in a module of `forms`; no other file changes.
+
+    `response` calls the methods once for each compiled form and differentiates their results. With
+    the traction T and the debonded share s, the force of a point with multiplier F and jump D is T
+    where s is 0 or None, else
+
+    .. math:: T + P(F - T + r D),
+
+    with P the response of contact without cohesion and the friction coefficient s μ, its work
+    counted as friction (`mechanics.contact_law.PointLaw.evaluate`). `new_internal_variables` are
+    committed with a converged step. The other results are numbers and fields of the run alone, but
+    `dissipated` also sets the steps of a stage with `fracture_step`.
     """
 
     def traction(self, point: GapState) -> Expr:
