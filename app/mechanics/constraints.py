@@ -403,9 +403,8 @@ def _constrained_motions(
                 scene.supports[s].name for s in same_history if prescribed_values[s].any()
             )
             raise InputError(
-                f"supports.{support_names}: the rigid region '{region}' cannot satisfy these"
-                " values "
-                "together with its other supports; expected values of one rigid motion"
+                f"supports.{support_names}: the rigid region '{region}' cannot satisfy these "
+                "values together with its other supports; expected values of one rigid motion"
             )
         amounts[same_history[0]] = basis.T @ motion
     return basis, rank, amounts

@@ -98,9 +98,8 @@ def _divide(content: FileContent) -> None:
             dropped.append(name)
         elif not is_free[rows].all():
             raise ValueError(
-                f"its set {name} shares some of its cells with smaller sets, so these cells "
-                "would be "
-                "in two regions: keep only the sets that are regions, or name the regions by "
+                f"its set {name} shares some of its cells with smaller sets, so these cells would "
+                "be in two regions: keep only the sets that are regions, or name the regions by "
                 "*SOLID SECTION in an .inp file"
             )
         is_free[rows] = False

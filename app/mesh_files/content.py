@@ -109,9 +109,8 @@ def case_names(names: Iterable[str]) -> dict[str, str]:
         other_name = by_clean.setdefault(clean[name], name)
         if other_name != name:
             raise ValueError(
-                f"its sets {other_name} and {name} are both called {clean[name]} in a case, "
-                "which allows "
-                "letters, digits, _ and -; rename one of them"
+                f"its sets {other_name} and {name} are both called {clean[name]} in a case, which "
+                "allows letters, digits, _ and -; rename one of them"
             )
     return clean
 

@@ -115,8 +115,8 @@ def _lead(first_run: str, numbers: Sequence[ComparedNumber]) -> str:
     if numbers_with_error:
         count = sum(number.differs for number in numbers_with_error)
         sentence = (
-            f"{count} of {len(numbers_with_error)} numbers differ from those of {first_run} by"
-            " more than "
+            f"{count} of {len(numbers_with_error)} numbers differ from those of {first_run} by "
+            "more than "
         )
         sentences.append(f"{sentence}their errors.")
     numbers_without_error = [number for number in numbers if not number.known]

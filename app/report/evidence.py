@@ -314,10 +314,9 @@ def _lead(case: Case, factors: Sequence[AssessedFactor]) -> str:
     if reached_count == len(factors):
         return f"{level} All {len(factors)} factors reach the grade proposed for this risk."
     return (
-        f"{level} {reached_count} of {len(factors)} factors reach the grade proposed for this"
-        " risk. "
-        f"{len(factors) - reached_count} do not: the evidence is not sufficient for this context"
-        " of use."
+        f"{level} {reached_count} of {len(factors)} factors reach the grade proposed for this "
+        f"risk. {len(factors) - reached_count} do not: the evidence is not sufficient for this "
+        "context of use."
     )
 
 

@@ -90,11 +90,10 @@ class InputSpread:
             comparison = "The mesh matters more than the inputs"
         size = self.samples[0].data["mesh"]["size"]
         return (
-            f"{comparison}: half the range from 5 to 95 % over {len(self.inputs)} inputs exceeds"
-            " the ± "
-            f"for {larger} of {len(ratios)} main numbers; the median ratio is"
-            f" {middle:.2g}{strongest}. "
-            f"The range is from {len(self.samples)} of {self.drawn} samples on meshes of {size}."
+            f"{comparison}: half the range from 5 to 95 % over {len(self.inputs)} inputs exceeds "
+            f"the ± for {larger} of {len(ratios)} main numbers; the median ratio is "
+            f"{middle:.2g}{strongest}. The range is from {len(self.samples)} of {self.drawn} "
+            f"samples on meshes of {size}."
         )
 
 

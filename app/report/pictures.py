@@ -445,9 +445,8 @@ def sides(run: Run, folder: Path) -> list[Figure]:
     motions = dict.fromkeys(next(iter(_on_sides(run, name))) for name in side_of_interface)
     motion_words = " or ".join(motions).capitalize()
     caption = (
-        f"{motion_words}, gap and contact pressure at the end, on the inner body of each"
-        " interface. "
-        f"Colours end at the {CLIP:g}th percentile; the labels have the largest values."
+        f"{motion_words}, gap and contact pressure at the end, on the inner body of each "
+        f"interface. Colours end at the {CLIP:g}th percentile; the labels have the largest values."
     )
     description = (
         f"{motion_words}, gap and pressure of {interface_names}, drawn on the surface from three"

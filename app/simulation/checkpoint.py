@@ -282,8 +282,7 @@ class CheckpointWriter:
         if mesh != mesh_hash:
             raise InputError(
                 f"{checkpoint} of another mesh ({mesh[:12]}; this case has {mesh_hash[:12]}); "
-                "restart "
-                "with the mesh it was written on"
+                "restart with the mesh it was written on"
             )
         if stage >= stages:
             raise InputError(f"{checkpoint} is in stage {stage + 1}; this case has {stages} stages")

@@ -109,9 +109,8 @@ def run(
     expected_ranks = ranks.world_size()
     if expected_ranks and expected_ranks != comm.size:
         raise EnvironmentProblem(
-            f"started as one of {expected_ranks} ranks, but MPI sees {comm.size}: mpirun belongs"
-            " to "
-            "another MPI; use the one of this installation, or mantle run -n"
+            f"started as one of {expected_ranks} ranks, but MPI sees {comm.size}: mpirun belongs "
+            "to another MPI; use the one of this installation, or mantle run -n"
         )
     lifetime.begin_run(comm)
     signalled = stopping.signals() if signals else str

@@ -200,8 +200,7 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[Verdict]:
             body_names = "' and '".join(problem.bodies.names[b] for b in sorted(loose))
             message = (
                 f"friction hardly holds body '{body_names}': {100 * slip / touch:.0f} % of the "
-                "contact "
-                f"area of interface '{term.name}' slips in the last converged state"
+                f"contact area of interface '{term.name}' slips in the last converged state"
             )
             verdicts.append(Verdict(message, severity=Severity.WARNING, code=Reason.LOOSE_BODY))
     return verdicts

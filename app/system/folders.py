@@ -117,9 +117,8 @@ def prepare_run(folder: Path, force: bool) -> None:
         left_over = saved(folder) or [*folder.glob("*/checkpoint-*.state"), *folder.glob("*/DONE")]
         restart_text = "--restart auto to continue from its checkpoint, " if left_over else ""
         raise InputError(
-            f"-o {folder}: is not empty; choose another folder, {restart_text}or --force to"
-            " replace the "
-            "results"
+            f"-o {folder}: is not empty; choose another folder, {restart_text}or --force to "
+            "replace the results"
         )
     if not os.access(folder, os.W_OK | os.X_OK):
         raise InputError(f"-o {folder}: is not writable")

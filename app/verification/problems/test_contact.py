@@ -388,8 +388,7 @@ def test_cycles_taper(problem: KnownProblem, count: int) -> None:
     sunk = np.diff(settlement)
     lost_work = work_lost(solved, "stem_cement", pushed)
     note = (
-        f"sinks {1e3 * settlement[0]:.4g} um, then {1e3 * sunk[0]:.2e} .. {1e3 * sunk[-1]:.2e} um"
-        " in a "
-        f"cycle; loses {lost_work[0]:.3g} .. {lost_work[-1]:.3g} N mm"
+        f"sinks {1e3 * settlement[0]:.4g} um, then {1e3 * sunk[0]:.2e} .. {1e3 * sunk[-1]:.2e} um "
+        f"in a cycle; loses {lost_work[0]:.3g} .. {lost_work[-1]:.3g} N mm"
     )
     problem.compare(Comparison(abs(sunk[-1]) / settlement[0], note=note))
