@@ -23,15 +23,12 @@ from app.schema.units import Dimension, Length, PositiveLength
 
 _Point = Annotated[tuple[Length, Length, Length], Triple("[0 mm, 0 mm, 100 mm]")]
 _Line = Annotated[tuple[_Point, _Point], Pair("[[0 mm, 0 mm, 0 mm], [0 mm, 0 mm, 100 mm]]")]
-
-
-ANGLES = (20.0, 320.0)  # range of a collar's angle (deg)
+# Smallest and largest angle of a collar [deg].
+COLLAR_ANGLES = (20.0, 320.0)
+# Suffixes of CAD files that are read.
 SUFFIXES = (".step", ".stp", ".iges", ".igs", ".brep")
 
-
 length = partial(Dimension, "mm", "a length")
-
-
 NeckDiameter = Annotated[float, length("10 mm", at_least=5.0)]
 NeckFillet = Annotated[float, length("3 mm", at_least=2.0, at_most=10.0)]
 TrunnionDiameter = Annotated[float, length("12 mm", at_least=5.0, at_most=22.0)]
@@ -50,7 +47,7 @@ class Collar(Section):
 
     @model_validator(mode="after")
     def _beside_the_resection(self) -> Collar:
-        least_angle, largest_angle = ANGLES
+        least_angle, largest_angle = COLLAR_ANGLES
         if not least_angle <= round(math.degrees(self.angle), 9) <= largest_angle:
             fail(f"is not between {least_angle:g} and {largest_angle:g} deg", at=("angle",))
         return self
@@ -159,7 +156,7 @@ class StemFile(Section):
 
     @cached_property
     def content(self) -> str:
-        """Hash of the file and of what is given beside it, at the first access."""
+        """Hash of the file and of the keys by which it is read; computed at the first access."""
         key_text = json.dumps(self.model_dump(exclude={"step", "collar"})).encode()
         return hashlib.sha256(self.step.read_bytes() + key_text).hexdigest()
 
@@ -170,13 +167,13 @@ class StemFile(Section):
         Raises:
             GeometryError: The file has no stem.
         """
-        if self.content not in _READ:
+        if self.content not in _SHAPES:
             with tempfile.TemporaryDirectory(prefix="mantle-gmsh-") as folder:
                 shutil.copy(self.step, folder)
                 request = dict(self) | {"path": str(self.step), "step": None}
                 del request["collar"]
-                _READ[self.content] = confined.ask("meshes.stem_file:read", request, folder)
-        return _READ[self.content]
+                _SHAPES[self.content] = confined.ask("meshes.stem_file:read", request, folder)
+        return _SHAPES[self.content]
 
     @property
     def details(self) -> dict[str, str]:
@@ -218,4 +215,5 @@ class StemFile(Section):
         return Implant(**(numbers | {"tip_z": tip, "cad": self.shape}))
 
 
-_READ: dict[str, dict[str, Any]] = {}  # by content: a case is read more than once
+# Shapes of files that were read, by `StemFile.content`: a case is read more than once.
+_SHAPES: dict[str, dict[str, Any]] = {}
