@@ -24,7 +24,7 @@ from app.laws.values import gap_at
 from app.numerics.rigid_motions import add_relative, describe, rigid_modes
 from app.soundness.loose_bodies import FREE
 from app.system.layout import point_text
-from meshes.pieces import MeshPieces, Piece
+from meshes.pieces import MeshPieces, Piece, Touch
 
 # Contact without friction barely resists a motion if its mean slope against it is below this [deg].
 SLOPE = 3.0
@@ -58,10 +58,14 @@ def bodies_of(case: Case, parts: MeshPieces) -> list[list[int]]:
 
 
 def _groups(parts: MeshPieces, joined_pairs: list[tuple[int, int]]) -> list[list[int]]:
-    label = list(range(len(parts.pieces)))
+    """Pieces of each group. Pairs join pieces; pieces that share nodes are joined, too."""
+    groups = list(range(len(parts.pieces)))
     for a, b in (*joined_pairs, *parts.joined):
-        label = [label[a] if k == label[b] else k for k in label]
-    return [[p for p, k in enumerate(label) if k == n] for n in sorted(set(label))]
+        groups = [groups[a] if group == groups[b] else group for group in groups]
+    return [
+        [piece for piece, group in enumerate(groups) if group == number]
+        for number in sorted(set(groups))
+    ]
 
 
 def load_history_of(case: Case, values: Sequence[float] | None) -> tuple[float, ...]:
@@ -112,10 +116,11 @@ class BodiesOnMesh:
         self._size = float(np.linalg.norm(np.ptp(parts.x, axis=0)))
         self._laws: Mapping[str, InterfaceLaw] = case.interfaces
         # Touching pieces: name of the interface, and its two bodies.
-        self._touches = [
-            (t, law_between(case, parts, (a, b))[0], self._group_of_part[a], self._group_of_part[b])
-            for t, (a, b) in ((t, t.pieces) for t in parts.touches)
-        ]
+        self._touches: list[tuple[Touch, str, int, int]] = []
+        for touch in parts.touches:
+            body_a, body_b = (self._group_of_part[piece] for piece in touch.pieces)
+            interface = law_between(case, parts, touch.pieces)[0]
+            self._touches.append((touch, interface, body_a, body_b))
 
     def unheld(self) -> list[Verdict]:
         """Errors for motions that nothing would resist if all touching bodies were bonded."""
