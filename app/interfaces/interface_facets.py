@@ -15,7 +15,7 @@ from meshes.facets import surface
 if TYPE_CHECKING:
     from mpi4py import MPI
 
-# Edges are straight if their middles are this close to the chord, as a part of its length.
+# Edges are straight if their middles are closer to the chord than this fraction of its length.
 STRAIGHT = 1e-9
 # Three points that integrate second-order polynomials on a triangle (barycentric, equal weights).
 QUADRATURE = np.full((3, 3), 1 / 6) + np.eye(3) / 2
@@ -27,7 +27,7 @@ class InterfaceFacets:
 
     Attributes:
         interface: Index of the interface (f,).
-        vertices: Vertex numbers of the mesh file, rising (f, 3).
+        vertices: Vertex numbers of the mesh file, ascending (f, 3).
         bodies: Bodies on the master and on the slave side (f, 2).
         dofs: Global blocked dofs at the vertices, then at the edges opposite them (f, 3 or 6).
         nodes: Coordinates of the vertices, then of the middles of curved edges (f, 3 or 6, 3) [mm].
@@ -62,9 +62,9 @@ class InterfaceFacets:
 
 
 def gather(comm: MPI.Comm, *arrays: NDArray) -> list[NDArray]:
-    """Concatenate each array over the ranks, on every rank."""
-    rank_arrays = comm.allgather(arrays)
-    return [np.concatenate([p[k] for p in rank_arrays]) for k in range(len(arrays))]
+    """Concatenate each array over the ranks, on every rank; collective."""
+    arrays_of_ranks = comm.allgather(arrays)
+    return [np.concatenate(parts) for parts in zip(*arrays_of_ranks, strict=True)]
 
 
 def sorted_facets(
@@ -76,20 +76,23 @@ def sorted_facets(
     inside_slave: Floats,
     stiffness: Floats,
 ) -> InterfaceFacets:
-    """Put the facets of all ranks in canonical order.
+    """Facets of all ranks in an order that does not depend on the partition.
 
-    Arguments are those of `InterfaceFacets` in any order of the facets and of the vertices in them,
-    and a point inside each slave cell (f, 3) [mm].
+    The arguments are the attributes of `InterfaceFacets`, with facets and their vertices in any
+    order. ``inside_slave`` is a point in each slave cell (f, 3) [mm].
     """
-    # The three vertices of a facet in rising order, then the facets by interface and vertices.
+    # Sort the vertices of each facet, then the facets by interface and vertices.
     order = np.argsort(vertices, axis=1)
     vertices = np.take_along_axis(vertices, order, axis=1)
     rows = np.lexsort((*vertices.T[::-1], interface))
-    order, vertices = np.concatenate([order, order + 3], axis=1)[rows], vertices[rows]
+    vertices = vertices[rows]
+    # The middle of an edge has the position of the opposite vertex, plus 3.
+    order = np.concatenate([order, order + 3], axis=1)[rows]
     dofs = np.take_along_axis(dofs[rows], order[:, : dofs.shape[1]], axis=1)
     x = np.take_along_axis(nodes[rows], order[:, : nodes.shape[1], None], axis=1)
     flat_normals = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    towards = np.sign(np.einsum("fi,fi->f", flat_normals, inside_slave[rows] - x[:, 0]))
+    # +1 if the normal by the order of the vertices is directed to the slave, else -1.
+    sign = np.sign(np.einsum("fi,fi->f", flat_normals, inside_slave[rows] - x[:, 0]))
     _, area = surface(x, QUADRATURE)
     return InterfaceFacets(
         interface=interface[rows],
@@ -97,7 +100,7 @@ def sorted_facets(
         bodies=bodies[rows],
         dofs=dofs,
         nodes=x,
-        normal=surface(x, np.eye(3))[0] * towards[:, None, None],
+        normal=surface(x, np.eye(3))[0] * sign[:, None, None],
         area=np.einsum("fq,qi->fi", area, QUADRATURE) / (2 * len(QUADRATURE)),
         stiffness=stiffness[rows],
     )

@@ -28,11 +28,11 @@ from app.foundation.arrays import Bools, Floats, Ints
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-# Rings of facets around a node to whose nodes a surface is fitted.
+# Number of rings of facets around a node. A surface is fitted to the nodes of these facets.
 RINGS = 2
-# Least number of these nodes.
+# Least number of nodes to which a surface is fitted.
 NODES_NEAR = 10
-# Most rings that are added to reach this number.
+# Largest number of rings that are added to reach this number of nodes.
 MORE_RINGS = 3
 # Number of coefficients of the models: plane, paraboloid, quadric.
 MODELS = (2, 5, 8)
@@ -46,9 +46,9 @@ FLAT_ANGLE = 1e-6
 LIKELY_MULTIPLE = 3.0
 # A larger slope is no error [rad].
 LARGEST_SLOPE = 0.01
-# Slopes below this are rounding [rad].
+# Slopes below this are rounding errors [rad].
 ROUNDING = 1e-12
-# Most steps to reach it.
+# Largest number of steps until slopes are rounding errors.
 MOST_STEPS = 20
 # Singular values below this part of the largest are zero.
 SINGULAR = 1e-10
@@ -77,16 +77,20 @@ def smooth_normals(x: Floats, corners: Ints, normals: Floats, areas: Floats) -> 
         areas: Weights of the corners in the mean (f, 3).
     """
     mean = unit_sums(normals, areas, corners, len(x))
-    # Largest angle between the mean at a node and normals: around the node, around its neighbours.
+    # Largest angle between the mean at a node and the normals of the facets around it.
     spread = np.zeros(len(x))
     np.maximum.at(spread, corners, _angle(normals, mean[corners]))
     if (spread < FLAT_ANGLE).all():
         return SmoothNormals(mean, np.zeros(len(x)))
     joined_nodes = _joined(corners, len(x))
-    spread_nearby, (node, neighbour) = spread.copy(), joined_nodes.nonzero()
+    # Bound of the same angle for facets around the neighbours.
+    spread_nearby = spread.copy()
+    node, neighbour = joined_nodes.nonzero()
     np.maximum.at(spread_nearby, node, _angle(mean[node], mean[neighbour]) + spread[neighbour])
-    inside = np.diff(joined_nodes.indptr) - 1 == np.bincount(corners.ravel(), minlength=len(x))
-    is_flat = (spread < FLAT_ANGLE) & (inside | (spread_nearby < FLAT_ANGLE))
+    # A node inside the surface has as many neighbours as facets.
+    neighbour_count = np.diff(joined_nodes.indptr) - 1
+    is_inside = neighbour_count == np.bincount(corners.ravel(), minlength=len(x))
+    is_flat = (spread < FLAT_ANGLE) & (is_inside | (spread_nearby < FLAT_ANGLE))
     fitted, error = mean.copy(), np.where(is_flat, 0.0, spread)
     rows = np.flatnonzero(~is_flat)
     if len(rows):
@@ -96,9 +100,16 @@ def smooth_normals(x: Floats, corners: Ints, normals: Floats, areas: Floats) -> 
     return SmoothNormals(fitted, error)
 
 
-def unit_sums(vectors: Floats, weights: Floats, corners: Ints, n: int) -> Floats:
-    """Directions (n, 3) of the weighted sums of vectors (f, 3, 3) at nodes (f, 3)."""
-    sums = np.zeros((n, 3))
+def unit_sums(vectors: Floats, weights: Floats, corners: Ints, node_count: int) -> Floats:
+    """Directions of the weighted sums of vectors at nodes (n, 3).
+
+    Args:
+        vectors: Vectors at the corners of facets (f, 3, 3).
+        weights: Weights of the corners (f, 3).
+        corners: Nodes of the corners (f, 3).
+        node_count: Number of nodes.
+    """
+    sums = np.zeros((node_count, 3))
     np.add.at(sums, corners, weights[:, :, None] * vectors)
     return sums / np.linalg.norm(sums, axis=1, keepdims=True)
 
@@ -108,18 +119,20 @@ def _angle(a: Floats, b: Floats) -> Floats:
     return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))
 
 
-def _joined(corners: Ints, n: int) -> csr_matrix:
-    """Return the pattern of nodes that share a facet, with the diagonal (n, n)."""
+def _joined(corners: Ints, node_count: int) -> csr_matrix:
+    """Matrix (n, n) of ones for nodes that share a facet, with the diagonal."""
     from scipy.sparse import csr_matrix  # imported late: plane interfaces need no scipy
 
-    rows, columns = np.repeat(corners, 3, axis=1).ravel(), np.tile(corners, (1, 3)).ravel()
-    pattern = csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(n, n))
+    rows = np.repeat(corners, 3, axis=1).ravel()
+    columns = np.tile(corners, (1, 3)).ravel()
+    shape = node_count, node_count
+    pattern = csr_matrix((np.ones(len(rows)), (rows, columns)), shape=shape)
     pattern.data[:] = 1.0
     return pattern
 
 
 def _nodes_near(joined: csr_matrix, rows: Ints) -> Ints:
-    """Return the nodes near some nodes (m, k). The node itself fills the rest of a row."""
+    """Nodes near the nodes ``rows`` (m, k). The node itself fills the rest of its row."""
     pattern = joined[rows]
     for ring in range(1, RINGS + MORE_RINGS):
         needs_more = np.ones(len(rows)) if ring < RINGS else np.diff(pattern.indptr) <= NODES_NEAR
@@ -139,19 +152,31 @@ def _nodes_near(joined: csr_matrix, rows: Ints) -> Ints:
 def _fitted(
     x: Floats, mean: Floats, spread_nearby: Floats, mean_error: Floats, rows: Ints, near_nodes: Ints
 ) -> tuple[Floats, Floats]:
-    """Return the normals (m, 3) of some nodes by the best model, and their standard errors (m,)."""
+    """Normals of the nodes ``rows`` by the best model (m, 3), and their standard errors (m,) [rad].
+
+    Args:
+        x: All nodes (n, 3) [mm].
+        mean: Mean normals of all nodes (n, 3).
+        spread_nearby: Largest angle to normals nearby (n,) [rad].
+        mean_error: Error of a normal that no model can give (n,) [rad].
+        rows: Nodes (m,).
+        near_nodes: Nodes near each of them (m, k).
+    """
     n, tangents = mean[rows], np.linalg.svd(mean[rows, None])[2][:, 1:]
     offsets = x[near_nodes] - x[rows, None]
     distance = np.linalg.norm(offsets, axis=2)
+    # Coordinates relative to the largest distance, so that all models are of order one.
     size = distance.max(axis=1, keepdims=True)
-    offsets, distance = offsets / size[:, :, None], distance / size
+    offsets = offsets / size[:, :, None]
+    distance = distance / size
     is_other: Bools = distance > 0
     # Near nodes have more weight: the error of a model grows with the square of the distance.
     weight = np.where(is_other, 1 / np.where(is_other, distance, 1.0) ** 2, 0.0)
     a, b = np.einsum("nki,nji->jnk", offsets, tangents)
     h = np.einsum("nki,ni->nk", offsets, n)
     terms = a, b, a * a, np.sqrt(2) * a * b, b * b, a * h, b * h, h * h
-    columns, height = np.stack(terms, axis=2) * weight[:, :, None], h * weight
+    columns = np.stack(terms, axis=2) * weight[:, :, None]
+    height = h * weight
     normal, error = n.copy(), np.full(len(rows), np.inf)
     for coefficients in MODELS:
         model = columns[:, :, :coefficients]
@@ -188,9 +213,11 @@ def slid_along(x: Floats, normals: Floats, error: Floats, weight: Floats) -> Flo
     Returns:
         Unit normals (n, 3). They are unchanged if no motion slides.
     """
-    weight_fraction, count = weight / weight.sum(), len(x)
-    likely = min(LIKELY_MULTIPLE * float(np.sqrt(weight_fraction @ error**2)), LARGEST_SLOPE)
-    if likely < ROUNDING or count < NODES_NEAR:
+    count = len(x)
+    weight_fraction = weight / weight.sum()
+    mean_error = float(np.sqrt(weight_fraction @ error**2))
+    largest_slope = min(LIKELY_MULTIPLE * mean_error, LARGEST_SLOPE)
+    if largest_slope < ROUNDING or count < NODES_NEAR:
         return normals
     offsets = (x - weight_fraction @ x) / (float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0)
     rotations = -np.cross(offsets[:, :, None], np.eye(3), axis=1)
@@ -205,17 +232,15 @@ def slid_along(x: Floats, normals: Floats, error: Floats, weight: Floats) -> Flo
             np.vstack([np.sqrt(weight_fraction)[:, None] * slopes, mean])
         )[1:]
         if not step:
-            slide_count = int((sizes <= likely).sum())
+            slide_count = int((sizes <= largest_slope).sum())
         if not slide_count or sizes[-slide_count] <= ROUNDING:
             return adjusted
-        # Two motions at most are independent at a point of a surface.
-        directions, singular_values, _ = np.linalg.svd(
-            motions @ scale @ vectors[-slide_count:].T, full_matrices=False
-        )
+        sliding_motions = motions @ scale @ vectors[-slide_count:].T
+        directions, singular_values, _ = np.linalg.svd(sliding_motions, full_matrices=False)
+        # At most two motions are independent at a point of a surface.
         directions, singular_values = directions[:, :, :2], singular_values[:, :2]
-        directions = np.where(
-            (singular_values > FLAT_ANGLE * singular_values.max())[:, None], directions, 0.0
-        )
+        is_motion = singular_values > FLAT_ANGLE * singular_values.max()
+        directions = np.where(is_motion[:, None], directions, 0.0)
         adjusted = adjusted - np.einsum("pik,pjk,pj->pi", directions, directions, adjusted)
         adjusted /= np.linalg.norm(adjusted, axis=1, keepdims=True)
     return normals

@@ -18,13 +18,14 @@ class PathField:
     """A field along paths.
 
     Attributes:
-        name: Name in the case; of an interface without the name of the interface.
+        name: Name in the case, without the name of an interface.
         label: Name for people.
         unit: Unit in files.
-        shown: Unit on pages; that of files by default.
-        axes: Components: none of a scalar, x, y, z of a vector, xx, yy, ... of a stress.
-        by_cell: True if it has one value in each cell.
-        nearest: True if values are states: a point has the value of the nearest node.
+        shown: Unit on pages; empty if it is the unit in files.
+        axes: Names of the components: x, y, z of a vector, xx, yy, ... of a stress; empty for a
+            scalar.
+        by_cell: True if the field has one value in each cell.
+        nearest: True if values are states. A point then has the value of the nearest node.
         interface: Interface of the field; empty for a field of bodies.
     """
 
@@ -48,8 +49,8 @@ class PathColumn:
     """A column of the file of a path.
 
     Attributes:
-        field: Its field.
-        component: Number of its component; None for a scalar and for the length of a vector.
+        field: Field of the column.
+        component: Index of the component; None for a scalar and for the length of a vector.
     """
 
     field: PathField
@@ -57,7 +58,7 @@ class PathColumn:
 
     @property
     def name(self) -> str:
-        """Name in the case: ``von_mises``, ``stress.zz``."""
+        """Name in the case, such as ``von_mises`` or ``stress.zz``."""
         axis = "" if self.component is None else f".{self.field.axes[self.component]}"
         return f"{self.field.name}{axis}"
 
@@ -74,7 +75,7 @@ class PathColumn:
 
 
 VECTOR = ("x", "y", "z")
-# VTK's order.
+# In the order of VTK.
 STRESS = ("xx", "yy", "zz", "xy", "yz", "xz")
 MECHANICAL = (
     PathField("displacement", "displacement", "mm", "um", VECTOR),
@@ -102,7 +103,7 @@ CONTACT = (
     PathField("slip_path", "path slid", "mm", "um"),
     PathField("status", "open 0, stick 1, slip 2", "-", nearest=True),
 )
-# Of sides that share their nodes.
+# Fields of interfaces whose sides share their nodes.
 SMALL_SLIDING = (
     PathField("slip", "slip", "mm", "um", VECTOR),
     PathField("motion", "motion", "mm", "um", VECTOR),
@@ -113,22 +114,22 @@ TEMPERATURE_JUMP = (
     PathField("temperature_jump", "temperature jump", "K"),
     PathField("heat_flux", "heat flux", "W/m^2"),
 )
-# Columns of a path without `fields`, of those that the run has.
+# Default columns of a path without `fields`, if the run has them.
 IN_BODIES = ("displacement", "von_mises", "temperature")
 ON_CONTACT = ("pressure", "shear", "slip", "gap", "temperature")
 Source = Callable[[Case], Iterable[PathField]]
-# Functions of other packages that give more fields of the bodies of a case.
+# Functions of other packages. They return further fields of the bodies of a case.
 SOURCES: list[Source] = []
 
 
 def path_fields(function: Source) -> Source:
-    """Register a function of a case: more fields of its bodies along paths."""
+    """Register a function that returns further fields of the bodies of a case."""
     SOURCES.append(function)
     return function
 
 
 def field_of(name: str) -> PathField | None:
-    """The field of a name, None for a field of a law or of another package."""
+    """Field with a name; None if it is a field of a law or of another package."""
     all_fields = (
         *MECHANICAL,
         *THERMAL,
@@ -145,7 +146,7 @@ def field_of(name: str) -> PathField | None:
 def available(case: Case, scene: Scene, interface: str) -> dict[str, PathField]:
     """Fields that a run has in its bodies and on an interface, by name.
 
-    The interface is the one of a path; empty for a path through bodies.
+    ``interface`` is the interface of a path; empty for a path through bodies.
     """
     in_bodies: list[PathField] = []
     if scene.elastic:
@@ -178,8 +179,8 @@ def _of_interface(scene: Scene, interface: str) -> list[PathField]:
             fields += [PathField(f.name, f.label, f.unit) for f in INTERFACE_FIELDS.values()]
         else:
             fields += SMALL_SLIDING
-    strong = [i.name for i in (*scene.contacts, *scene.bonds) if i.law.strength]
-    if interface in strong:
+    with_strength = [i.name for i in (*scene.contacts, *scene.bonds) if i.law.strength]
+    if interface in with_strength:
         fields.append(FAILURE)
     if interface in [jump.name for jump in scene.thermal_contacts]:
         fields += TEMPERATURE_JUMP
@@ -204,26 +205,26 @@ def columns(case: Case, scene: Scene, name: str) -> list[PathColumn]:
 
 
 def _column(
-    place: str, field_text: str, fields: Mapping[str, PathField], path: PathOptions
+    key: str, field_text: str, fields: Mapping[str, PathField], path: PathOptions
 ) -> PathColumn:
-    """The column that a name stands for."""
+    """Column with a name; ``key`` is the path of the name in the case."""
     name, _, axis = field_text.partition(".")
     field = fields.get(name)
     if field is None:
-        place_text = f" on {path.interface_name}" if path.interface_name else ""
+        interface_text = f" on {path.interface_name}" if path.interface_name else ""
         hint = did_you_mean(name, [*fields])
         field_list = ", ".join(fields) or "none"
         raise InputError(
-            f"{place}: this run has no field '{name}'{place_text}; it has {field_list}{hint}"
+            f"{key}: this run has no field '{name}'{interface_text}; it has {field_list}{hint}"
         )
     if axis and axis not in field.axes:
         axes = f"has the components {', '.join(field.axes)}" if field.axes else "has no components"
-        raise InputError(f"{place}: {name} {axes}; expected {_example(field)}")
+        raise InputError(f"{key}: {name} {axes}; expected {_example(field)}")
     if not axis and field.axes == STRESS:
-        raise InputError(f"{place}: a stress is six numbers; expected {_example(field)}")
+        raise InputError(f"{key}: a stress is six numbers; expected {_example(field)}")
     return PathColumn(field, field.axes.index(axis) if axis else None)
 
 
 def _example(field: PathField) -> str:
-    """A name of a column of the field."""
+    """Example of a column of the field, for messages."""
     return f"e.g. {field.name}.{field.axes[-1]}" if field.axes else field.name
