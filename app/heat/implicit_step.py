@@ -209,6 +209,7 @@ class ImplicitStep(System):
         self._fill()
 
     def _fill(self) -> None:
+        """Fill the linear parts of the blocks for the current step and conduction; collective."""
         operators = self.operators
         self._last_evaluation = None
         self._filled_for = self._inverse_length, operators.principle.version
@@ -260,9 +261,10 @@ class ImplicitStep(System):
             temperature_rise.array[:] = T[b] - operators.reference
             K.mult(temperature_rise, heat_flow)
             residual_heat[b] = heat_flow.array_r
+        parts: list[Floats] = []
         for term in terms:
             residual_heat += term
-        parts = [body_term for term in terms for body_term in term]
+            parts += list(term)
         flux = None
         if jumps is not None:
             flux = jumps.flux(x[1].array_r)
@@ -286,9 +288,11 @@ class ImplicitStep(System):
 
     def jacobian(self, x: Sequence[PETSc.Vec]) -> None:
         """Set the blocks of the Jacobian at a state."""
-        evaluation, jumps, cure = self.evaluate(x), self.operators.jumps, self.operators.cure
+        evaluation = self.evaluate(x)
+        jumps, cure = self.operators.jumps, self.operators.cure
         by_jump = -jumps.weight * evaluation.flux[1] if jumps and evaluation.flux else None
-        self._blocks.set(by_jump, cure.heat_by_temperature(evaluation.T) if cure else {})
+        heat_by_temperature = cure.heat_by_temperature(evaluation.T) if cure else {}
+        self._blocks.set(by_jump, heat_by_temperature)
 
     def degrees(self, x: Sequence[PETSc.Vec]) -> list[Floats]:
         """Degrees of cure in a state, of owned nodes of each curing region."""

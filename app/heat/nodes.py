@@ -87,8 +87,10 @@ class InterfaceNodes:
         boundary_nodes: tuple[Ints, Ints] | None = None,
     ) -> None:
         self.apart = boundary_nodes is not None
-        first, second = (np.concatenate([nodes[r].dof for r in side]) for side in interface)
-        self._shared_dof = np.intersect1d(first, second)
+        first_regions, second_regions = interface
+        first_dof = np.concatenate([nodes[region].dof for region in first_regions])
+        second_dof = np.concatenate([nodes[region].dof for region in second_regions])
+        self._shared_dof = np.intersect1d(first_dof, second_dof)
         # Bodies of the two sides at the shared nodes.
         self._bodies = np.zeros((2, len(self._shared_dof)), dtype=np.int64)
         self.sides: list[Side] = []

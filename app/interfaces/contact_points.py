@@ -32,8 +32,8 @@ Rules for each displacement component of a vertex where bodies and interfaces me
 * The components are along x, y, z. A vertex with a support along another direction has local axes.
   The jumps themselves are always along x, y, z.
 
-All facets of the contact interfaces are gathered on every rank and sorted by the vertex numbers of
-the mesh file, so that the result does not depend on the partition. They are few.
+All facets of the contact interfaces are gathered on every rank; they are few. They are sorted by
+the vertex numbers of the mesh file, so that the result does not depend on the partition.
 """
 
 from __future__ import annotations
@@ -436,7 +436,9 @@ def _edge_moves(
         for side_bodies in facets.bodies.T
     ]
     edges, first_rows = np.unique(np.concatenate(edges_of_sides), axis=0, return_index=True)
-    edge_dof, edge_ends, edge_body = edges[:, 0], edges[:, 1:3], edges[:, 3]
+    edge_dof = edges[:, 0]
+    edge_ends = edges[:, 1:3]
+    edge_body = edges[:, 3]
     bend: Floats = np.zeros((len(edges), 3, 3))
     if facets.nodes.shape[1] == 6:
         facet_edge = first_rows % (3 * len(edges_of_facets))

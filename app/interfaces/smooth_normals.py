@@ -200,9 +200,8 @@ def slid_along(x: Floats, normals: Floats, error: Floats, weight: Floats) -> Flo
     """Make normals orthogonal to the rigid motions that slide a surface along itself.
 
     Normals that are slightly off resist the rotation of a body of revolution: the smaller their
-    error, the more ill-conditioned the system. A motion slides the surface along itself if the
-    slopes of the normals against it, in the mean and at random, are within the error of the
-    normals.
+    error, the more ill-conditioned the system. A motion slides the surface along itself if normals
+    hardly slope against it: the mean and the random slope are within the error of the normals.
 
     Args:
         x: Points (n, 3) [mm].

@@ -136,7 +136,10 @@ def pieces_of(
         if frozenset((tag_a, tag_b)) in separated:
             continue
         labels_if_joined = _joined(label_of_tag, tag_a, tag_b)
-        joins_sides = any(len({labels_if_joined[tag] for tag in sides}) == 1 for sides in separated)
+        joins_sides = False
+        for sides in separated:
+            side_labels = {labels_if_joined[tag] for tag in sides}
+            joins_sides |= len(side_labels) == 1
         if joins_sides:
             unjoined.append((region_of_tag[tag_a], region_of_tag[tag_b]))
         else:

@@ -286,7 +286,7 @@ def _axes(
     for group in groups:
         values, vectors = np.linalg.eigh(support_projectors[:, group].sum(axis=1))
         group_projectors.append(projectors(vectors, values > SAME_DIRECTION))
-    used = sorted({row for group in groups for row in group})
+    used = sorted(set().union(*groups))
     used_projectors = support_projectors[:, used]
     products = np.einsum("nsij,ntjk->nstik", used_projectors, used_projectors)
     asymmetry = np.abs(products - products.swapaxes(3, 4)).max(axis=(2, 3, 4))
@@ -337,7 +337,7 @@ def _refuse_incompatible(
     Raises:
         InputError: Supports of one group prescribe different displacements along an axis.
     """
-    displacements = {row: supports[row].values(x) for group in groups for row in group}
+    displacements = {row: supports[row].values(x) for row in set().union(*groups)}
     largest = max(float(np.abs(values).max()) for values in displacements.values())
     if largest == 0:
         return

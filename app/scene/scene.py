@@ -294,6 +294,7 @@ def scene_of(
     friction_heat = tuple(i for i in all_interfaces if i.law.heated_by_friction is not None)
     depends_on_friction = any(not i.between for i in friction_heat)
     depends_on_pressure = any(i.law.conductances[1] > 0 for i in thermal_contacts)
+    has_creep = any(stage.creep for stage in stages)
     split_loads: list[Load] = []
     for name, load in loads.items():
         split_loads += _loads(name, load, motions, stages)
@@ -320,11 +321,7 @@ def scene_of(
         coupled=depends_on_friction or depends_on_pressure,
         expansions=tuple(t for t in thermal.values() if t.thermal_expansion),
         cures=tuple(t.cure.named(t.region) for t in thermal.values() if t.cure is not None),
-        creeps=tuple(
-            e.creep.named(e.region)
-            for e in elastic
-            if e.creep is not None and any(stage.creep for stage in stages)
-        ),
+        creeps=tuple(e.creep.named(e.region) for e in elastic if has_creep and e.creep is not None),
         time=(time or TimeOptions()) if thermal else None,
     )
 
@@ -391,6 +388,7 @@ def cycle_phase(stages: Sequence[Stage], time: float) -> tuple[float, float]:
 
 
 def _cycle_tables(motions: Mapping[str, Motion], loads: Mapping[str, Load]) -> list[CycleTable]:
+    """Cycle tables of motions and loads."""
     motions_and_loads: list[Motion | Load] = [*motions.values(), *loads.values()]
     return [law.cycle for law in motions_and_loads if law.cycle is not None]
 
