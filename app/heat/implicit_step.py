@@ -185,8 +185,8 @@ class ImplicitStep(System):
         for index, interface in enumerate(operators.scene.thermal_contacts):
             if operators.jumps and max(interface.law.conductances[:2]) > 0:
                 points = operators.jumps.points
-                of_interface = points.bodies[points.interface == index]
-                pairs += [(int(a), int(b)) for a, b in np.unique(of_interface, axis=0)]
+                sides = points.bodies[points.interface == index]
+                pairs += [(int(a), int(b)) for a, b in np.unique(sides, axis=0)]
         body_of_region = operators.bodies.of_region
         for interface in operators.scene.sliding_heat:
             pairs.append((body_of_region[interface.master[0]], body_of_region[interface.slave[0]]))
