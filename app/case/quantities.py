@@ -826,14 +826,14 @@ add_quantity(
         "temperature_max_first_time",
         "s",
         digits=1,
-        label="time of the highest temperature, first side",
+        label="time of the maximum, first side",
         order=ORDER_OF_DOSE,
     ),
     _heated_interface(
         "temperature_max_second_time",
         "s",
         digits=1,
-        label="time of the highest temperature, second side",
+        label="time of the maximum, second side",
         order=ORDER_OF_DOSE,
     ),
     _heated_interface(
