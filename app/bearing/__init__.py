@@ -211,7 +211,7 @@ add_quantity(
     _interface(
         "temperature_swing",
         "K",
-        label="variation of the surface temperature in a cycle",
+        label="temperature range in a cycle",
         order=ORDER_OF_TRACTION,
     ),
 )
