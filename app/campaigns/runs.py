@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 import re
 import signal
 from collections.abc import Sequence
@@ -222,9 +223,15 @@ def _killed(run: BatchRun) -> str:
     if needed_memory:
         message += f"each run needs about {needed_memory:.1f} GB, "
     message += f"{available_memory / 1e9:.1f} GB are available"
-    at_once = max(1, int(available_memory / 1e9 / needed_memory)) if needed_memory else 1
-    fewer = f"--cores {at_once * run.planned.ranks} runs at most {at_once} at once"
-    return f"{message}; {fewer}: run the same command again with it to continue"
+    again = "run the same command again to continue"
+    if not needed_memory:
+        return f"{message}; {again}"
+    ranks = run.planned.ranks
+    at_once = max(1, int(available_memory / 1e9 / needed_memory))
+    if at_once * ranks >= len(os.sched_getaffinity(0)):
+        # As many runs as there are cores fit now: something else took the memory.
+        return f"{message}; {again}"
+    return f"{message}; {again}, with --cores {at_once * ranks}: at most {at_once} at once"
 
 
 def tail(path: Path) -> str:

@@ -254,6 +254,7 @@ def test_batch_run_killed_for_memory_names_its_need(
     case = load(stance).config
     need = cost.gigabytes(case)
     monkeypatch.setattr(memory, "available", lambda: 2.4e9 * need)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(9)))
     job = PlannedRun.load("stance", stance, ranks=3)
     (run,) = runs_of([job], tmp_path, 6)
     run.path.parent.mkdir(parents=True)
@@ -262,7 +263,10 @@ def test_batch_run_killed_for_memory_names_its_need(
     assert result.exit_code == EnvironmentProblem.exit_code
     memories = f"each run needs about {need:.1f} GB, {2.4 * need:.1f} GB are available"
     assert f"killed, probably out of memory: {memories}" in result.message
-    assert "--cores 6 runs at most 2 at once" in result.message
+    assert "run the same command again to continue, with --cores 6: at most 2" in result.message
+    # All cores can be used with the memory that is left.
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(6)))
+    assert result_of(run).message.endswith("are available; run the same command again to continue")
     # Another signal is reported as it is.
     run.file("status").write_text("100.0 130.0 139\n")
     other = result_of(run)
