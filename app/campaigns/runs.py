@@ -224,14 +224,13 @@ def _killed(run: BatchRun) -> str:
         message += f"each run needs about {needed_memory:.1f} GB, "
     message += f"{available_memory / 1e9:.1f} GB are available"
     again = "run the same command again to continue"
-    if not needed_memory:
-        return f"{message}; {again}"
-    ranks = run.planned.ranks
-    at_once = max(1, int(available_memory / 1e9 / needed_memory))
-    if at_once * ranks >= len(os.sched_getaffinity(0)):
-        # As many runs as there are cores fit now: something else took the memory.
-        return f"{message}; {again}"
-    return f"{message}; {again}, with --cores {at_once * ranks}: at most {at_once} at once"
+    if needed_memory:
+        ranks, cores = run.planned.ranks, len(os.sched_getaffinity(0))
+        at_once = max(1, int(available_memory / 1e9 / needed_memory))
+        # If runs on all cores fit, something else took the memory.
+        if at_once * ranks < cores:
+            again += f", with --cores {at_once * ranks}: at most {at_once} at once"
+    return f"{message}; {again}"
 
 
 def tail(path: Path) -> str:

@@ -513,41 +513,15 @@ add_quantity(
         order=ORDER_OF_STRESS,
         headline=True,
     ),
-    # Volume under tension above each of `TENSION_LEVELS`.
-    _region(
-        "volume_over_3_MPa",
-        "mm^3",
-        digits=1,
-        label="volume with tension over 3 MPa",
-        order=ORDER_OF_RISK,
-    ),
-    _region(
-        "volume_over_5_MPa",
-        "mm^3",
-        digits=1,
-        label="volume with tension over 5 MPa",
-        order=ORDER_OF_RISK,
-    ),
-    _region(
-        "volume_over_7_MPa",
-        "mm^3",
-        digits=1,
-        label="volume with tension over 7 MPa",
-        order=ORDER_OF_RISK,
-    ),
-    _region(
-        "volume_over_9_MPa",
-        "mm^3",
-        digits=1,
-        label="volume with tension over 9 MPa",
-        order=ORDER_OF_RISK,
-    ),
-    _region(
-        "volume_over_11_MPa",
-        "mm^3",
-        digits=1,
-        label="volume with tension over 11 MPa",
-        order=ORDER_OF_RISK,
+    *(
+        _region(
+            f"volume_over_{level}_MPa",
+            "mm^3",
+            digits=1,
+            label=f"volume with tension over {level} MPa",
+            order=ORDER_OF_RISK,
+        )
+        for level in TENSION_LEVELS
     ),
 )
 add_quantity(
@@ -598,70 +572,18 @@ add_quantity(
         order=ORDER_OF_MOTION,
         vector=True,
     ),
-    # Strains of the cortex at each of `GAUGES`.
-    _femur(
-        "strain_lateral_10",
-        "-",
-        "um/m",
-        0,
-        label="lateral strain at z = -10 mm",
-        order=ORDER_OF_STRESS,
-    ),
-    _femur(
-        "strain_lateral_40",
-        "-",
-        "um/m",
-        0,
-        label="lateral strain at z = -40 mm",
-        order=ORDER_OF_STRESS,
-    ),
-    _femur(
-        "strain_lateral_80",
-        "-",
-        "um/m",
-        0,
-        label="lateral strain at z = -80 mm",
-        order=ORDER_OF_STRESS,
-    ),
-    _femur(
-        "strain_lateral_113",
-        "-",
-        "um/m",
-        0,
-        label="lateral strain at z = -113 mm",
-        order=ORDER_OF_STRESS,
-    ),
-    _femur(
-        "strain_medial_10",
-        "-",
-        "um/m",
-        0,
-        label="medial strain at z = -10 mm",
-        order=ORDER_OF_STRESS,
-    ),
-    _femur(
-        "strain_medial_40",
-        "-",
-        "um/m",
-        0,
-        label="medial strain at z = -40 mm",
-        order=ORDER_OF_STRESS,
-    ),
-    _femur(
-        "strain_medial_80",
-        "-",
-        "um/m",
-        0,
-        label="medial strain at z = -80 mm",
-        order=ORDER_OF_STRESS,
-    ),
-    _femur(
-        "strain_medial_113",
-        "-",
-        "um/m",
-        0,
-        label="medial strain at z = -113 mm",
-        order=ORDER_OF_STRESS,
+    # Strains of the cortex.
+    *(
+        _femur(
+            f"strain_{side}_{gauge}",
+            "-",
+            "um/m",
+            0,
+            label=f"{side} strain at z = {z:g} mm",
+            order=ORDER_OF_STRESS,
+        )
+        for side in ("lateral", "medial")
+        for gauge, z in GAUGES.items()
     ),
 )
 add_quantity(

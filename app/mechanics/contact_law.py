@@ -362,8 +362,10 @@ class PointLaw:
         is at rest, F_h is the friction of the last converged state.
 
         F_h is along the prescribed slip, so its size is one unknown per point. The residual
-        H P - F_h is not negative without F_h and negative for a large one: Newton's method stays
-        between these bounds, and halves them where it leaves them or does not halve the residual.
+        H P - F_h is not negative for F_h = 0 and negative for a large one, so that a root is
+        between these bounds. Each iterate replaces one of the bounds. Bisection replaces a Newton
+        step that leaves the bounds, or that follows one which did not halve the residual.
+
         At a point of one face the residual decreases and is concave on the side of the start, so
         that the iterates approach the root from one side. They are slowest where the force across
         the slip equals the limit of friction: a triple root, at which each iteration leaves 2/3 of
@@ -404,10 +406,11 @@ class PointLaw:
                 break
             np.copyto(lower, size, where=residual > 0)
             np.copyto(upper, size, where=residual < 0)
-            newton = size + np.divide(residual, slope, out=upper.copy(), where=slope > 0)
-            is_newton = (newton >= lower) & (newton <= upper)
-            is_newton &= np.abs(residual) <= last_residual / 2
-            new_size = np.where(is_newton, newton, (lower + upper) / 2)
+            # Without a positive slope the step is infinite, which leaves the bounds.
+            step = np.divide(residual, slope, out=np.full(len(rows), np.inf), where=slope > 0)
+            is_within = (size + step >= lower) & (size + step <= upper)
+            is_halved = np.abs(residual) <= last_residual / 2
+            new_size = np.where(is_within & is_halved, size + step, (lower + upper) / 2)
             np.copyto(size, new_size, where=is_unfinished)
             last_residual = np.abs(residual)
         # Implicit derivative of F_h by the multiplier F.

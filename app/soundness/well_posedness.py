@@ -412,7 +412,7 @@ def _large_gaps(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
                 f"{100 * interference / thickness:.0f} % of the thickness of the bodies "
                 f"({thickness:.3g} mm), so that strains are not small"
             )
-            yield Verdict(message, key, "use a smaller interference; is the unit wrong?")
+            yield Verdict(message, key, f"use a smaller interference; {WRONG_UNIT}")
         elif thickness and interference > LARGE_GAP * thickness:
             message = (
                 f"an interference of {interference:.3g} mm in bodies {thickness:.3g} mm thick: "
