@@ -254,9 +254,10 @@ class Shape(Extensible):
         """Level below which bone is continued, not measured (mm); None: all of it is measured."""
         return None
 
-    def longer(self, length: float) -> Shape | None:
-        """The geometry with more of a continued shaft (mm); None: it has no more."""
-        return None
+    @property
+    def other_shafts(self) -> dict[str, Shape]:
+        """The geometry with other continued shafts, by what differs, in words."""
+        return {}
 
     @property
     def details(self) -> dict[str, Any]:

@@ -138,20 +138,19 @@ class EstimatedErrors(TypedDict):
 
 
 class ShaftInfluence(TypedDict):
-    """Change of main numbers by a longer continued shaft.
+    """Changes of main numbers by other continued shafts.
 
     Attributes:
         end: Level at which the scan ends [mm].
-        longer: Length by which the shaft of the second run is longer [mm].
-        mesh_size: Size of the cells of both runs [mm].
-        changes: Number of the first and of the second run, by its name.
-        sentence: The largest change, in words.
+        mesh_size: Size of the cells of all runs [mm].
+        changes: Number with the shaft of the run and with another one, by the name of the number,
+            by what differs in the shaft.
+        sentence: The largest changes, in words.
     """
 
     end: float
-    longer: float
     mesh_size: float
-    changes: dict[str, list[float]]
+    changes: dict[str, dict[str, list[float]]]
     sentence: str
 
 
@@ -188,7 +187,7 @@ class Summary(TypedDict, total=False):
         cpu: CPU time of all ranks by phase [s].
         memory: Peak of the memory.
         error: Estimate of errors.
-        continued_shaft: Change of main numbers by more of a shaft that is continued below a scan.
+        continued_shaft: Changes of main numbers by other shafts below the end of a scan.
         accuracy: Accuracy that was asked for and reached, in words.
         verdicts: Statements on the run (`foundation.verdict.Verdict.record`).
     """

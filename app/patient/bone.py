@@ -75,6 +75,10 @@ class CanalKeys(SurfaceKeys, Reaming, Protocol):
     def threshold(self) -> float:
         """CT number at its surface."""
 
+    @property
+    def isthmus(self) -> float | None:
+        """Its least mean width in a shaft that is continued below a scan [mm], if it is given."""
+
 
 class OperatedBone(Protocol):
     """A geometry with a canal that is reamed for a stem."""
@@ -264,7 +268,7 @@ def read(bone: BoneKeys, canal: CanalKeys, contents: tuple[str, str], known: Kno
     canal_file = canal.path, canal.unit or bone.unit, canal.label
     inner = (canal.ct, None, None) if canal.ct else canal_file
     threshold = canal.threshold if canal.ct else None
-    return _read(outer, inner, threshold, bone.extend, contents, known)
+    return _read(outer, inner, threshold, bone.extend, canal.isthmus, contents, known)
 
 
 @lru_cache(maxsize=4)
@@ -273,6 +277,7 @@ def _read(
     inner: tuple[Path | None, str | None, int | None],
     threshold: float | None,
     extend: bool,
+    isthmus: float | None,
     contents: tuple[str, str],
     known: Known,
 ) -> PatientBone:
@@ -291,18 +296,29 @@ def _read(
         )
     if not extend or frame.version is not None:
         return PatientBone(frame, surface, canal_surface)
-    return _continued(frame, surface, canal_surface)
+    return _continued(frame, surface, canal_surface, isthmus)
 
 
-def _continued(frame: Frame, surface: BoneSurface, canal: BoneSurface | None) -> PatientBone:
-    """The bone with its shaft continued below the end of the scan."""
+def _continued(
+    frame: Frame, surface: BoneSurface, canal: BoneSurface | None, isthmus: float | None
+) -> PatientBone:
+    """The bone with its shaft continued below the end of the scan.
+
+    Raises:
+        GeometryError: The given isthmus (mm) is too wide for the bone.
+    """
     size = float(frame.to_model(frame.head)[2]) / HEAD_HEIGHT
     top_level = -TROCHANTER_ENDS * frame.radius
-    centre, slope = shaft.axis_of_end(surface, frame.end, top_level)
-    outer, inner = (
-        shaft.Narrowing(table, frame.end, size) for table in (femur_bone.OUTER, femur_bone.CANAL)
-    )
-    continuation = Continuation(frame.end, centre, slope, CONTINUED_TO * size, outer)
-    if canal is not None and float(canal.points[:, 2].min()) < frame.end + CUT_DISTANCE:
-        canal = continuation.surface(canal, inner)
+    end, canal_width = frame.end, None
+    canal_end = math.inf if canal is None else float(canal.points[:, 2].min())
+    if canal_end < end + CUT_DISTANCE:
+        # Both are continued from a level at which both are whole.
+        end = max(end, canal_end + shaft.EDGE_ROUNDING)
+    centre, slope = shaft.axis_of_end(surface, end, top_level)
+    outer = shaft.Narrowing(femur_bone.OUTER, end, size)
+    if canal is not None and canal_end < end:
+        canal_width = shaft.canal_width(surface, canal, outer, centre, top_level, isthmus)
+    continuation = Continuation(end, centre, slope, CONTINUED_TO * size, outer, canal_width)
+    if canal is not None and canal_width is not None:
+        canal = continuation.surface(canal, canal_width)
     return PatientBone(frame, continuation.surface(surface, outer), canal, continuation)

@@ -18,7 +18,7 @@ from app.case.hips import (
     Resection,
     point,
 )
-from app.case.shapes import MeshOptions, Point3, spread
+from app.case.shapes import MeshOptions, Point3, Shape, spread
 from app.case.stems import Stem, StemFile
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError, InputError
@@ -33,6 +33,10 @@ if TYPE_CHECKING:
     from meshes.layered_surfaces import LayeredSurfaces
 
 SHORTEST_INSIDE = 50.0  # mm of the stem in the bone
+LONGER_SHAFT = 40.0  # mm by which a continued shaft is longer to find its influence
+# Width by which its canal is wider to find its influence [mm]. The standard deviation of the least
+# width is 1.3 mm in women and 1.5 mm in men (96 volunteers, PMC8589507).
+WIDER_CANAL = 2.0
 SHAFT_BELOW_PLUG = 70.0  # mm of shaft below the plug, or what the surface has
 
 
@@ -93,6 +97,10 @@ class Canal(Outline):
     up to below the lesser trochanter."""
     threshold: Number = 600.0
     """CT number at the inner surface of the cortex."""
+    isthmus: PositiveLength | None = None
+    """Width of the canal where it is narrowest, the mean of both directions, if the scan ends above
+    that level: for example from a radiograph. By default it follows from the last sections and
+    the parametric femur."""
     ream: Literal["none", "by", "broach"] = "none"
     """Reaming by the surgeon: none, by the same distance everywhere (`ream_by`), or as far as stem
     and cement mantle need. At least 1.5 mm of cortex are left."""
@@ -199,6 +207,8 @@ class Patient(OperatedHip):
         if canal.ream != "by":
             reason = f"the canal is not reamed by it (ream: {canal.ream})"
             keys["geometry", "canal", "ream_by"] = reason
+        if self._assumed_isthmus is None:
+            keys["geometry", "canal", "isthmus"] = "no canal is continued above its isthmus"
         if not canal.surface:
             keys["geometry", "canal", "unit"] = "no surface of the canal is given"
         if not self.bone.surface:
@@ -296,15 +306,32 @@ class Patient(OperatedHip):
         continuation = self.femur.continuation
         return continuation.end if continuation and continuation.end > self.level else None
 
-    def longer(self, length: float) -> Patient | None:
-        """Return the geometry with its continued shaft held farther below (mm).
+    @property
+    def other_shafts(self) -> dict[str, Shape]:
+        """The geometry with other continued shafts, by what differs, in words."""
+        shafts = dict[str, Shape]()
+        if self.continued_below is None:
+            return shafts
+        level = self.level - LONGER_SHAFT
+        if level >= self.femur.lowest + 2.0:
+            longer = self.model_copy(update={"distal_cut_z": level})
+            shafts[f"{LONGER_SHAFT:g} mm more of it"] = longer
+        if self._assumed_isthmus is not None:
+            isthmus = self._assumed_isthmus + WIDER_CANAL
+            wider = self.model_copy(
+                update={"canal": self.canal.model_copy(update={"isthmus": isthmus})}
+            )
+            # The copy has the femur that this geometry has read.
+            wider.__dict__.pop("femur")
+            shafts[f"a canal {WIDER_CANAL:g} mm wider in it"] = wider
+        return shafts
 
-        None: the shaft ends above that level.
-        """
-        level = self.level - length
-        if level < float(self.femur.surface.points[:, 2].min()) + 2.0:
-            return None
-        return self.model_copy(update={"distal_cut_z": level})
+    @property
+    def _assumed_isthmus(self) -> float | None:
+        """Width of the canal at the isthmus, if no scan shows it (mm)."""
+        continuation = self.femur.continuation
+        canal = continuation.canal if continuation else None
+        return canal.isthmus if canal and canal.is_assumed else None
 
     @property
     def _continued(self) -> dict[str, str]:
@@ -321,7 +348,10 @@ class Patient(OperatedHip):
             if end_level > plug_z
             else ""
         )
-        return {"continued shaft": range_text + beside_stem}
+        isthmus = self._assumed_isthmus
+        canal = f"; canal {isthmus:.1f} mm wide at its isthmus" if isthmus else ""
+        source = ", assumed" if isthmus and self.canal.isthmus is None else ""
+        return {"continued shaft": range_text + beside_stem + canal + source}
 
     @property
     def details(self) -> dict[str, str]:

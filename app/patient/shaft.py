@@ -6,16 +6,20 @@ of the last sections, in their shape and size.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from app.foundation.arrays import Floats
+from app.foundation.errors import GeometryError
 from app.patient import welding
 from app.patient.bone_surface import BoneSurface
 from meshes.data import connected
+from meshes.femur_bone import CANAL
 from meshes.femur_stem import unit
-from meshes.plane_sections import centroid
+from meshes.plane_sections import centroid, exits
 
 # Least downward part of a normal at the end of a surface [-].
 LEAST_DOWNWARD = 0.5
@@ -31,10 +35,19 @@ SECTION_STEP = 2.5
 ROW_LENGTH = 10.0
 # Largest distance of a flat end's corners from its plane [mm].
 FLATNESS = 1.0
+# Least cortex of a continued shaft [mm].
+LEAST_CORTEX = 1.5
+# Directions around the last section.
+WALL_ANGLES = 96
+THETA = 2 * np.pi * np.arange(WALL_ANGLES) / WALL_ANGLES
 # Parts of lateral, medial and antero-posterior half-width in the mean one [-].
 HALF_WIDTHS = (0.25, 0.25, 0.5)
 # Level of the parametric femur's isthmus [mm].
 ISTHMUS = -113.0
+# Level of the parametric femur above which its canal is still the cone of the metaphysis [mm].
+CONE_END = -50.0
+# Length below the end in which a continued canal becomes as wide as at its isthmus [mm].
+ADAPTATION_LENGTH = 30.0
 # Least area of a flat end [mm^2].
 LEAST_AREA = 100.0
 
@@ -119,13 +132,40 @@ class Narrowing:
 
     def __call__(self, z: Floats) -> Floats:
         """Return the width at levels [-]."""
+        return self.half_width(z) / self.half_width(self.end)
+
+    def half_width(self, z: Floats | float) -> Floats:
+        """Return mean half-widths of the parametric femur at levels of this one [mm]."""
         rows = self.table[np.argsort(self.table[:, 0])]
-        mean_half_widths = rows[:, 1:4] @ HALF_WIDTHS
-        width_at_levels, width_at_end = (
-            np.interp(np.maximum(level / self.size, ISTHMUS), rows[:, 0], mean_half_widths)
-            for level in (z, self.end)
-        )
-        return np.asarray(width_at_levels / width_at_end)
+        levels = np.maximum(np.asarray(z) / self.size, ISTHMUS)
+        return np.asarray(np.interp(levels, rows[:, 0], rows[:, 1:4] @ HALF_WIDTHS))
+
+
+@dataclass(frozen=True, eq=False)
+class CanalWidth:
+    """Width of a continued canal relative to its width at the end.
+
+    Attributes:
+        narrowing: Width of the parametric canal relative to its width at the end.
+        adapted: Factor to that width from `ADAPTATION_LENGTH` below the end on [-].
+        isthmus: Mean width of the canal where it is narrowest [mm].
+        is_assumed: True if the scan ends above the isthmus.
+        wall: Radii of canal and bone at the end (2, `WALL_ANGLES`) [mm].
+    """
+
+    narrowing: Narrowing
+    adapted: float
+    isthmus: float
+    is_assumed: bool
+    wall: Floats
+
+    def __call__(self, z: Floats) -> Floats:
+        """Return the width at levels [-]."""
+        adapted_part = np.clip((self.narrowing.end - z) / ADAPTATION_LENGTH, 0.0, 1.0)
+        return np.asarray(self.narrowing(z) * (1.0 + adapted_part * (self.adapted - 1.0)))
+
+
+Width = Callable[[Floats], Floats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +178,7 @@ class Continuation:
         slope: Change of the centroid with the level (2,) [-].
         low: Level at which it ends [mm].
         width: Width at a level over that at the end, of the bone.
+        canal: Width of the canal; None: no canal ends with the scan.
     """
 
     end: float
@@ -145,8 +186,9 @@ class Continuation:
     slope: Floats
     low: float
     width: Narrowing
+    canal: CanalWidth | None
 
-    def surface(self, above: BoneSurface, width: Narrowing) -> BoneSurface:
+    def surface(self, above: BoneSurface, width: Width) -> BoneSurface:
         """Return a surface that is continued below the end.
 
         Args:
@@ -179,7 +221,7 @@ class Continuation:
         welded = welding.weld(corners)
         return replace(above, points=welded.points, triangles=welded.triangles)
 
-    def _points_at_levels(self, x: Floats, z: Floats, width: Narrowing) -> Floats:
+    def _points_at_levels(self, x: Floats, z: Floats, width: Width) -> Floats:
         """Return points of the last section (..., 2) moved to levels (...)."""
         z = z[..., None]
         return np.asarray(self.centre + (z - self.end) * self.slope + width(z) * (x - self.centre))
@@ -188,9 +230,74 @@ class Continuation:
         """Return points (n, 3). Points below the end are moved up to the last section."""
         z = np.minimum(x[:, 2:], self.end)
         offset = x[:, :2] - self.centre - (z - self.end) * self.slope
+        bone_width = self.width(z[:, 0])
+        scale = 1.0 / bone_width
+        if self.canal:
+            r, theta = np.hypot(*offset.T), np.arctan2(offset[:, 1], offset[:, 0])
+            canal_at_end, bone_at_end = (
+                np.interp(theta, THETA, radii, period=2 * np.pi) for radii in self.canal.wall
+            )
+            canal_width = self.canal(z[:, 0])
+            inner, outer = canal_width * canal_at_end, bone_width * bone_at_end
+            # Points of the wall stay at the same part of its thickness.
+            thickness_part = (r - inner) / (outer - inner)
+            r_in_wall = canal_at_end + thickness_part * (bone_at_end - canal_at_end)
+            is_in_wall = r > inner
+            scale = np.where(is_in_wall, r_in_wall / np.where(is_in_wall, r, 1.0), 1 / canal_width)
         return np.column_stack(
-            [self.centre + offset / self.width(z), np.maximum(x[:, 2:], self.end)]
+            [self.centre + scale[:, None] * offset, np.maximum(x[:, 2:], self.end)]
         )
+
+
+def canal_width(
+    bone: BoneSurface,
+    canal: BoneSurface,
+    outer: Narrowing,
+    centre: Floats,
+    shaft_top: float,
+    isthmus: float | None,
+) -> CanalWidth:
+    """Return the width of a canal below the end of a scan.
+
+    The width of a canal in the metaphysis tells little about that at the isthmus. The more of the
+    shaft between its top and `CONE_END` is measured, the more the ratio of canal and bone at the
+    end counts against that of the parametric femur.
+
+    Args:
+        bone: The bone, in the model's axes.
+        canal: Its canal.
+        outer: Width of the continued bone.
+        centre: Centroid of the bone's last section (2,) [mm].
+        shaft_top: Level at which the shaft begins [mm].
+        isthmus: Mean width of the canal at its isthmus [mm], if it is given.
+
+    Raises:
+        GeometryError: This isthmus leaves too thin a cortex.
+    """
+    end, size = outer.end, outer.size
+    inner = Narrowing(CANAL, end, size)
+    bone_width, width_at_end = (
+        2.0 * math.sqrt(centroid(surface.level(end))[1] / math.pi) for surface in (bone, canal)
+    )
+    isthmus_level = np.array(min(ISTHMUS * size, end - ADAPTATION_LENGTH))
+    parametric_bone, parametric_canal = (
+        float(narrowing.half_width(end)) for narrowing in (outer, inner)
+    )
+    excess = (width_at_end / bone_width) / (parametric_canal / parametric_bone)
+    measured_part = float(np.clip((shaft_top - end) / (shaft_top - CONE_END * size), 0.0, 1.0))
+    adapted = (1.0 + measured_part * (excess - 1.0)) / excess
+    narrowed_width = width_at_end * float(inner(isthmus_level))
+    is_assumed = end > ISTHMUS * size
+    if isthmus is not None and is_assumed:
+        adapted = isthmus / narrowed_width
+        widest = bone_width * float(outer(isthmus_level)) - 2.0 * LEAST_CORTEX
+        if isthmus > widest:
+            raise GeometryError(
+                f"geometry.canal.isthmus: {isthmus:g} mm leaves less than {LEAST_CORTEX:g} mm of"
+                f" cortex in the continued shaft; expected at most {widest:.1f} mm"
+            )
+    wall = np.array([exits(surface.level(end) - centre, THETA)[0] for surface in (canal, bone)])
+    return CanalWidth(inner, adapted, adapted * narrowed_width, is_assumed, wall)
 
 
 def clipped(surface: BoneSurface, level: float) -> Floats:

@@ -1,7 +1,8 @@
 """Influence of the shaft below a scan, where it is continued, on the numbers of a run.
 
-Two companions of the run on a coarser mesh differ in the level at which the shaft is held. The
-difference of their numbers shows how much they depend on bone that was not scanned.
+Companions of the run on a coarser mesh differ in that shaft: in the level at which it is held, and
+in the width of its canal. The differences of their numbers show how much they depend on bone that
+was not scanned.
 """
 
 from __future__ import annotations
@@ -18,8 +19,6 @@ from app.system.layout import percent
 
 log = logging.getLogger("mantle")
 
-# Length by which the shaft of the second companion is longer [mm].
-LONGER = 40.0
 # Mesh size of the companions over that of the run.
 COARSER = 2.0
 # Part of the largest number of its unit below which the change of a number is not reported.
@@ -27,32 +26,38 @@ NEGLIGIBLE = 0.1
 
 
 def measured(case: Case, model: Model) -> ShaftInfluence | None:
-    """Return the changes of main numbers by a longer continued shaft; collective.
+    """Return the changes of main numbers by other continued shafts; collective.
 
-    The result is None if no shaft is continued, a companion is not solved, the scan has no longer
-    shaft, or the run has no main numbers.
+    The result is None if no shaft is continued, a companion is not solved, or the run has no main
+    numbers.
     """
     geometry = case.geometry
-    end, longer = geometry.continued_below, geometry.longer(LONGER)
-    if end is None or longer is None or not model.mechanical_path:
+    end, other_shafts = geometry.continued_below, geometry.other_shafts
+    if end is None or not other_shafts or not model.mechanical_path:
         return None
     coarsest = geometry.coarsest_size
     mesh = case.mesh.coarser(min(COARSER, coarsest / case.mesh.size) if case.mesh.size else 1.0)
-    pair = [case.model_copy(update={"mesh": mesh, "geometry": g}) for g in (geometry, longer)]
+    companions = [
+        case.model_copy(update={"mesh": mesh, "geometry": g})
+        for g in (geometry, *other_shafts.values())
+    ]
     try:
-        numbers_of_shaft, numbers_of_longer = (model.relative(companion) for companion in pair)
+        numbers_as_run, *numbers_of_others = [model.relative(each) for each in companions]
     except (ConvergenceError, GeometryError) as failure:
         agree(model.tagged.mesh.comm, failure)
         log.warning("continued shaft: its influence is unknown: %s", str(failure).splitlines()[0])
         return None
-    numbers_of_both, largest_text = _changes(numbers_of_shaft, numbers_of_longer)
-    if not numbers_of_both:
-        return None
-    change_text = f"{LONGER:g} mm more of the continued shaft change the main numbers by at most"
-    sentence = f"{change_text} {largest_text}, on cells of {mesh.size:g} mm"
-    return ShaftInfluence(
-        end=end, longer=LONGER, mesh_size=mesh.size, changes=numbers_of_both, sentence=sentence
+    changes = dict[str, dict[str, list[float]]]()
+    changes_in_words = list[str]()
+    for difference, numbers in zip(other_shafts, numbers_of_others, strict=True):
+        changes[difference], largest_text = _changes(numbers_as_run, numbers)
+        if not changes[difference]:
+            return None
+        changes_in_words.append(f"by at most {largest_text} with {difference}")
+    sentence = (
+        f"main numbers change {', and '.join(changes_in_words)}, on cells of {mesh.size:g} mm"
     )
+    return ShaftInfluence(end=end, mesh_size=mesh.size, changes=changes, sentence=sentence)
 
 
 def _changes(first: Summary, second: Summary) -> tuple[dict[str, list[float]], str]:

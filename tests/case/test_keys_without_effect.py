@@ -73,6 +73,7 @@ VALUES: dict[str, tuple[Any, Any] | None] = {
     "canal.unit": ("mm", "mm"),
     "canal.ct": None,
     "canal.threshold": (500, 600),
+    "canal.isthmus": ("12 mm", "13 mm"),
     "canal.ream": ("by", "broach"),
     "canal.ream_by": ("0.5 mm", "1 mm"),
     "landmarks.head_centre": ([41, 11, 54], [42, 11, 55]),

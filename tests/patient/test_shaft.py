@@ -17,7 +17,7 @@ from app.patient import landmarks, shaft, welding
 from app.patient.bone_surface import BoneSurface
 from meshes import femur_bone
 from meshes.femur_stem import unit
-from meshes.plane_sections import centroid, section
+from meshes.plane_sections import centroid, exits, section
 from tests.patient.bones import parametric_canal, parametric_femur, tube, write
 from tests.patient.patients import made, patient
 
@@ -120,6 +120,46 @@ def test_shaft_continued_carries_canal_and_mesh(tmp_path: Path) -> None:
     assert math.sqrt(inner / math.pi) == pytest.approx(radius.mean(), rel=0.05)
 
 
+def wide_canal(scale: float) -> BoneSurface:
+    """The canal of mantle's femur, but wider above the diaphysis, by a factor at its top."""
+    canal = parametric_canal()
+    x = canal.points.copy()
+    x[:, :2] *= (1.0 + (scale - 1.0) * np.clip((x[:, 2] + 55.0) / 20.0, 0.0, 1.0))[:, None]
+    return replace(canal, points=x)
+
+
+def mean_width(surface: BoneSurface, z: float) -> float:
+    """Diameter of a circle with the area of a section [mm]."""
+    return 2.0 * math.sqrt(centroid(surface.level(z))[1] / math.pi)
+
+
+@pytest.mark.parametrize(("below", "most_wide"), [(85.0, 0.2), (150.0, 0.02)])
+def test_shaft_canal_below_a_wide_metaphysis_is_that_of_a_shaft(
+    tmp_path: Path, below: float, most_wide: float
+) -> None:
+    """The thin cortex of the metaphysis is not continued into the diaphysis."""
+    write(tmp_path / "bone.stl", below_head(parametric_femur(), below))
+    write(tmp_path / "canal.stl", below_head(wide_canal(1.4), below))
+    keys = {"surface": "canal.stl", "ream": "broach"}
+    geometry = patient(tmp_path, bone={"surface": "bone.stl", "unit": "mm"}, canal=keys)
+    femur = geometry.femur
+    expected = 2 * 6.2  # of the parametric isthmus
+    assert mean_width(femur.canal, -125.0) == pytest.approx(expected, rel=most_wide)
+    assert femur.continuation.canal.isthmus == pytest.approx(
+        mean_width(femur.canal, -125.0), rel=0.01
+    )
+    assert "wide at its isthmus, assumed" in geometry.details["continued shaft"]
+    given = patient(
+        tmp_path, bone={"surface": "bone.stl", "unit": "mm"}, canal=keys | {"isthmus": "15 mm"}
+    )
+    assert mean_width(given.femur.canal, -125.0) == pytest.approx(15.0, rel=0.01)
+    assert geometry.femur.canal.points[:, 2].min() == given.femur.canal.points[:, 2].min()
+    with pytest.raises(ValidationError, match=r"leaves less than 1\.5 mm of cortex"):
+        patient(
+            tmp_path, bone={"surface": "bone.stl", "unit": "mm"}, canal=keys | {"isthmus": "26 mm"}
+        )
+
+
 def test_shaft_points_below_the_end_have_places_in_the_scan(tmp_path: Path) -> None:
     """A point of the continued wall has the modulus of the last section, at the same part of it."""
     write(tmp_path / "bone.stl", below_head(parametric_femur(), 100.0))
@@ -136,6 +176,36 @@ def test_shaft_points_below_the_end_have_places_in_the_scan(tmp_path: Path) -> N
     low = np.column_stack([at, np.full(len(at), z)])
     assert continued.scanned(low) == pytest.approx(top, abs=1e-9)
     above = top + np.array([0.0, 0.0, 5.0])
+    assert continued.scanned(above) == pytest.approx(above, abs=1e-9)
+
+
+def test_shaft_points_of_a_continued_wall_are_not_in_the_canal_of_the_scan(
+    tmp_path: Path,
+) -> None:
+    """The middle of the wall is moved up to the middle of the wall of the last section.
+
+    That wall is thinner: its canal is that of the metaphysis.
+    """
+    write(tmp_path / "bone.stl", below_head(parametric_femur(), 85.0))
+    write(tmp_path / "canal.stl", below_head(wide_canal(1.4), 85.0))
+    keys = {"surface": "canal.stl", "ream": "broach"}
+    femur = patient(tmp_path, bone={"surface": "bone.stl", "unit": "mm"}, canal=keys).femur
+    continued, end = femur.continuation, femur.continuation.end
+    angles = np.linspace(0.0, 6.0, 7)
+    z = end - 70.0
+
+    def middle_of_wall(level: float) -> Floats:
+        centre = continued.centre + (level - end) * continued.slope
+        inner, outer = (
+            exits(surface.level(level) - centre, angles)[0]
+            for surface in (femur.canal, femur.surface)
+        )
+        directions = np.column_stack([np.cos(angles), np.sin(angles)])
+        x = centre + (0.5 * (inner + outer))[:, None] * directions
+        return np.column_stack([x, np.full(7, level)])
+
+    assert continued.scanned(middle_of_wall(z)) == pytest.approx(middle_of_wall(end), abs=0.05)
+    above = middle_of_wall(end) + np.array([0.0, 0.0, 5.0])
     assert continued.scanned(above) == pytest.approx(above, abs=1e-9)
 
 
