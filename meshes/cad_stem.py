@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -28,8 +28,10 @@ SHORTEST_FLAT = 1.5 / 60  # of the length around: flats between corners are long
 CORNER_BEND = 1.2  # of the mean bend by length: corners bend more
 LEAST_BEND = 0.2  # radians: what bends less is no corner
 CORNER_SHIFT = 0.08  # of the length around: a corner is that of another section, if it is nearer
+SEARCH_STEP = 0.5  # mm between sections in which corners of the body are searched
 RAYS = 720  # rays around
 THETA = 2 * np.pi * np.arange(RAYS) / RAYS
+NEAR_PLANE = 1e-6  # mm from a plane within which triangles may cross it
 HIDDEN_METAL = 4.0  # mm of metal that a ray may meet beyond a gap: the corner of a shoulder
 TIP_MARGIN = 3.0  # mm above the tip, and below the shoulder, from which the mantle goes on beyond
 NECK_SHARE = 0.38  # of the neck's length: what the points between axis and neck head for
@@ -46,8 +48,12 @@ def outline(x: Floats, origin: Floats, plane: Floats) -> Floats:
     Raises:
         ValueError: The point is outside, or rays meet the surface again.
     """
-    x = x.reshape(-1, 3) - origin
-    ray, r = ray_crossings(section(x, x @ np.cross(*plane)) @ np.linalg.pinv(plane), THETA)
+    normal = np.cross(*plane)
+    a, b, c = (x.reshape(-1, 3) @ normal - origin @ normal).reshape(-1, 3).T
+    highest, lowest = np.maximum(np.maximum(a, b), c), np.minimum(np.minimum(a, b), c)
+    is_near = (highest > -NEAR_PLANE) & (lowest < NEAR_PLANE)
+    x = x[is_near].reshape(-1, 3) - origin
+    ray, r = ray_crossings(section(x, x @ normal) @ np.linalg.pinv(plane), THETA)
     least_radii, largest_radii = np.full(RAYS, np.inf), np.zeros(RAYS)
     np.minimum.at(least_radii, ray, r)
     np.maximum.at(largest_radii, ray, r)
@@ -205,6 +211,20 @@ class CornerLines:
         return bounds, np.append(0.0, np.cumsum(shares))
 
 
+def _with_corner_points(x: Floats, bounds: Floats, turns: Floats) -> tuple[Floats, Floats]:
+    """Points of an outline, first the (`RAYS`, 3) of the rays, and the lines there in turns.
+
+    Args:
+        x: Points of the rays [mm].
+        bounds: Ends of corners in parts of the length around (m,).
+        turns: Lines there (m,).
+    """
+    arc, start, corner_arcs = positions(x), bounds[0], bounds[:-1]
+    corner_points = np.stack([np.interp(corner_arcs, arc, v, period=1.0) for v in x.T], axis=1)
+    all_arcs = np.append((arc - start) % 1.0 + start, corner_arcs)
+    return np.concatenate([x, corner_points]), np.interp(all_arcs, bounds, turns)
+
+
 class CadStem:
     """A stem as `stem_file.read` finds it; ``ends`` are the steps above the neck cut."""
 
@@ -295,25 +315,34 @@ class CadStem:
             ) from None
 
     def _lines(self, height: float, slope: float, fraction: float = 0.0) -> tuple[Floats, Floats]:
-        """Points of an outline (n, 3) [mm], and the lines there in turns (n,)."""
-        x = self._cached_outline(height, slope, fraction)
-        if fraction <= self._collar_end:
-            return self._with_corner_points(x)
-        return x, positions(x)  # corners are those of shoulder and neck
+        """Points of an outline (n, 3) [mm], and the lines there in turns (n,).
 
-    def _with_corner_points(self, x: Floats) -> tuple[Floats, Floats]:
-        """Points of an outline, first the (`RAYS`, 3) of the rays, and the lines there in turns."""
-        arc = positions(x)
+        Lines are on the corners of the body. Where an outline has other corners, as at the foot of
+        the neck, they have the directions of the highest section with those of the body. Above cut
+        and collar they go over to equal distances around the neck.
+        """
+        x = self._cached_outline(height, slope, fraction)
+        if fraction > 0:
+            turns, equal = self._cached_lines(height, slope, 0.0)[1][:RAYS], positions(x)
+            after_collar = max(0.0, fraction - self._collar_end) / (1.0 - self._collar_end)
+            to_equal = (equal - turns + 0.5) % 1.0 - 0.5
+            return x, turns + np.sqrt(after_collar) * to_equal
         knots = self._corner_lines.knots(x) if self._corner_lines else None
         if knots:
-            bounds, turns = knots
-            start, corner_arcs = bounds[0], bounds[:-1]
-            corner_points = np.stack(
-                [np.interp(corner_arcs, arc, v, period=1.0) for v in x.T], axis=1
-            )
-            all_arcs = np.append((arc - start) % 1.0 + start, corner_arcs)
-            return np.concatenate([x, corner_points]), np.interp(all_arcs, bounds, turns)
-        return x, arc
+            return _with_corner_points(x, *knots)
+        return x, positions(x) if self._highest_turns is None else self._highest_turns
+
+    @cached_property
+    def _highest_turns(self) -> Floats | None:
+        """Lines (`RAYS`,) at the rays of the highest section with the body's corners, in turns."""
+        height, slope = self._placement.top, self._placement.slopes[0]
+        while self._corner_lines and height > self._low:
+            x = self._cached_outline(height, slope, 0.0)
+            knots = self._corner_lines.knots(x)
+            if knots:
+                return _with_corner_points(x, *knots)[1][:RAYS]
+            height -= SEARCH_STEP
+        return None
 
     def _points_on_outlines(self, phi: Floats, *planes: Floats) -> Floats:
         """Points of outlines (n, 3) [mm], one outline for all with the same arguments (n,)."""

@@ -42,6 +42,10 @@ COLLAR_SEARCH = 20  # places for each station at which the height of a collar's 
 STATION_SPACING = 0.3  # of a step above the neck cut: no station is nearer to the top of a collar
 # Least depth of a shoulder below the cut [mm]; a higher one counts as at the cut.
 LEAST_SHOULDER_DEPTH = 2.5
+EDGE_DISTANCE = 0.02  # mm from a parabola at which the outline of a stem has an edge along
+EDGE_LINES = 96  # lines on which edges along are searched
+EDGE_SAMPLES = 16  # parts of a step in which an edge is searched
+SHORTEST_STEP = 0.125  # shortest step at an edge over the largest step along the stem
 LEAST_MANTLE = 1.0  # mm of cement for which there must be room
 UNREPORTED_CORTEX = 0.05  # mm of cortex that a stem may take unreported
 LEAST_CORTEX = 1.5  # mm of cortex that a stem without cement must leave where it takes some
@@ -211,6 +215,8 @@ class LayeredSurfaces:
                 [0.0, station_depth, distances_above[-1]],
                 [0.0, depth, distances_above[-1]],
             )
+        if self.stem.is_cad:
+            distances_above = top - self._with_heights_at_edges(top - distances_above)
         void_length, start = implant.tip_void, len(distances_below) - 1
         floor_level = tip.rim - void_length
         lengths = 2 * (floor_level - plug), void_length, height  # the end may be narrow
@@ -232,6 +238,43 @@ class LayeredSurfaces:
         self._floor, self.tip = start + counts[0], start + counts[0] + counts[1]
         self.mantle = (start, len(zeta) - 1)
         return zeta
+
+    def _with_heights_at_edges(self, heights: Floats) -> Floats:
+        """Heights of stations (n,) with more where the outline of the stem has edges along [mm].
+
+        An edge, as at the foot of the neck or at a shoulder, is known by the distance of outlines
+        from parabolas through the first, the middle and the last one of a step. A step is divided
+        where this leaves the least distance.
+        """
+        sections = Sections(self._placement, self.stem.shoulder, self.stem.plug, heights)
+        phi = np.arange(EDGE_LINES) / EDGE_LINES
+
+        def outlines(levels: Floats) -> Floats:
+            zeta = np.repeat(levels, EDGE_LINES)
+            points = self.stem.outline(np.tile(phi, len(levels)), sections, zeta)
+            return points[:, :2].reshape(len(levels), EDGE_LINES, 2)
+
+        def divided(start: float, end: float, steps: int) -> list[float]:
+            levels = np.linspace(start, end, steps + 1)
+            x = outlines(levels)
+            if _distance_from_parabola(x) < EDGE_DISTANCE or abs(end - start) < 2 * shortest_step:
+                return [end]
+            if steps < EDGE_SAMPLES:
+                return divided(start, end, EDGE_SAMPLES)
+            least = math.ceil(EDGE_SAMPLES * shortest_step / abs(end - start))
+            splits = [k for k in range(2, steps, 2) if least <= k <= steps - least]
+            worst_after = [
+                max(_distance_from_parabola(x[: k + 1]), _distance_from_parabola(x[k:]))
+                for k in splits
+            ]
+            if not splits:
+                return [end]
+            split = float(levels[splits[int(np.argmin(worst_after))]])
+            return divided(start, split, EDGE_SAMPLES) + divided(split, end, EDGE_SAMPLES)
+
+        shortest_step = self.mesh.step_along * SHORTEST_STEP
+        steps = pairwise(heights.tolist())
+        return np.array([heights[0], *(h for ends in steps for h in divided(*ends, 4))])
 
     def _divide_above_cut(self, implant: Implant) -> None:
         """Divide the stem above the cut."""
@@ -478,6 +521,19 @@ class LayeredSurfaces:
 def cached_surfaces(geometry: HipKeys, mesh: MeshKeys, files: str) -> LayeredSurfaces:
     """Return the surfaces of a patient. With a stem from CAD they take some seconds."""
     return LayeredSurfaces(geometry, mesh)
+
+
+def _distance_from_parabola(x: Floats) -> float:
+    """Largest distance, normal to them, of outlines from a parabola through three of them [mm].
+
+    The outlines (2 n + 1, m, 2) are equally far apart; the three are first, middle and last.
+    """
+    t = np.linspace(0.0, 1.0, len(x))
+    shapes = np.array([(1 - t) * (1 - 2 * t), 4 * t * (1 - t), t * (2 * t - 1)])
+    parabola = np.einsum("ik,ijl->kjl", shapes, x[[0, len(x) // 2, -1]])
+    along_x, along_y = np.moveaxis(np.roll(x, -1, axis=1) - np.roll(x, 1, axis=1), -1, 0)
+    normal = np.stack([along_y, -along_x], axis=-1) / np.hypot(along_x, along_y)[..., None]
+    return float(np.abs(((parabola - x) * normal).sum(axis=-1)).max())
 
 
 def _rounded_up(length: float) -> float:

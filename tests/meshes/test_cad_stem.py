@@ -96,6 +96,38 @@ def test_cad_stem_lines_follow_section_corners(name: str, tmp_path: Path) -> Non
     assert len(numbers) == 4 * len(ends)  # the same lines at all heights
 
 
+@pytest.mark.parametrize(("name", "most"), [("deep", 0.12), ("charnley", 0.1), ("anatomic", 0.05)])
+def test_cad_stem_curved_facets_follow_shoulder_and_neck(
+    name: str, most: float, tmp_path: Path
+) -> None:
+    """Middles of facets on the interface are on the faces of the file, at edges along too."""
+    known = load(case(cad_stems.write(name, tmp_path), "{size: 6 mm}")).config
+    data = meshes.build(known.geometry, known.mesh)
+    low, high, *_, medial = known.geometry.stem.shape["in_file"]
+    axis = (high - low) / np.linalg.norm(high - low)
+    turn = np.stack([medial, np.cross(axis, medial), axis])
+    facets = data.points[interface_facets(data, "stem_cement")[0]]
+    x = (4.0 * facets[:, 3:].sum(axis=1) - facets[:, :3].sum(axis=1)) / 9.0
+    x -= [0.0, 0.0, known.geometry.implant.tip_z]
+    away = off(tmp_path / f"{name}.step", x[x[:, 2] > 1.5] @ turn + low)
+    assert away.max() < most
+
+
+@pytest.mark.parametrize("name", ["anatomic", "exeter"])
+def test_cad_stem_lines_do_not_turn_at_the_neck_cut(name: str, tmp_path: Path) -> None:
+    """Where the neck begins, an outline has other corners; lines go on straight along the stem."""
+    known = load(case(cad_stems.write(name, tmp_path), "{size: 6 mm}")).config
+    surfaces = LayeredSurfaces(known.geometry, known.mesh)
+    phi = np.arange(surfaces.around) / surfaces.around
+    heights = known.geometry.placement.top - np.array([0.0, 3.0])
+    at_cut, below = (
+        surfaces.stem.outline(phi, surfaces.sections, np.full(len(phi), z)) for z in heights
+    )
+    angles = [np.arctan2(x[:, 1], x[:, 0]) for x in (at_cut, below)]
+    turned = (angles[0] - angles[1] + np.pi) % (2 * np.pi) - np.pi
+    assert np.abs(turned).max() < np.radians(4.0)
+
+
 def test_cad_stem_check_reports_axis_head_and_neck(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
