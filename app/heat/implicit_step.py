@@ -1,9 +1,9 @@
 r"""One implicit solve of temperature and temperature jumps, as a system for Newton's method.
 
-A stage of a time step asks for the state at the end of an interval h that started at T*. Unknowns
-are the continuous temperature θ and, with interfaces of finite conductance, the jumps τ of their
-points. With the temperature T_b = θ + B_b τ of each body (`HeatOperators.nodal`) and its residual
-heat (`evaluate` sums the terms)
+A stage of a time step computes the state at the end of an interval of length h from the
+temperature T* at its start. Unknowns are the continuous temperature θ and, with interfaces of
+finite conductance, the jumps τ of their points. With the temperature T_b = θ + B_b τ of each body
+(`HeatOperators.nodal`) and its residual heat (`evaluate` sums the terms)
 
 .. math:: r_b = \tfrac1h M_b (T_b - T_b^*) + K_b (T_b - T_0) + R_b (T_b - T_a)
                 - f_b - a_b(T_b) - d_b + E_b(T),
@@ -18,8 +18,8 @@ with
 - K: conduction, corrected where necessary (`MaximumPrinciple.matrices`); T_0 the `reference`.
 - R (T - T_a): exchange with surroundings (`HeatLoads.exchanged`); f: fluxes and sources
   (`HeatLoads.heat_into_nodes`).
-- a: heat of cure (`CureHeat.heat_into_nodes`); d: heat of friction (`FrictionHeating.nodal`), set
-  by the mechanics.
+- a: heat of cure (`CureHeat.heat_into_nodes`); d: heat of friction (`FrictionHeating.nodal`), which
+  the mechanics set.
 - E: exchange of surfaces with finite sliding (`MeanExchange.heat_out_of_nodes`).
 - q: heat flux from jump and contact pressure p (`TemperatureJumps.flux`); W: areas of the points.
 
@@ -64,14 +64,14 @@ class HeatEvaluation:
         inputs: The state, then contact pressures and heat of friction if there are any.
         T: Temperature of owned nodes of each body (b, n) [K].
         residual_heat: Residual heat, without interfaces (b, n) [N mm/s].
-        parts: Terms of the residual except conduction, one array for each term and body [N mm/s].
+        terms: Terms of the residual except conduction, one array for each term and body [N mm/s].
         flux: Heat flux at owned points, and its derivatives (`TemperatureJumps.flux`).
     """
 
     inputs: list[Floats]
     T: Floats
     residual_heat: Floats
-    parts: list[Floats]
+    terms: list[Floats]
     flux: tuple[Floats, Floats, Floats] | None
 
 
@@ -103,7 +103,7 @@ class ImplicitStep(System):
         self._source_heat = operators.forms.zeros()
         self._prescribed_values: list[Floats] = []
         self._last_evaluation: HeatEvaluation | None = None
-        self._work = self._blocks.matrix[0][0].createVecs()
+        self._scratch = self._blocks.matrix[0][0].createVecs()
         self._fill()
 
     @property
@@ -178,9 +178,24 @@ class ImplicitStep(System):
     def _refuse_isolated_bodies(self) -> None:
         """Refuse bodies that no heat path connects to a prescribed or surrounding temperature."""
         operators = self.operators
-        is_set_at_node = operators.loads.per_kelvin > 0
-        is_set_at_node |= operators.fixed.condition_of_body >= 0
-        is_set = np.any(self.comm.allgather(is_set_at_node.any(axis=1)), axis=0)
+        has_condition_at_node = operators.loads.per_kelvin > 0
+        has_condition_at_node |= operators.fixed.condition_of_body >= 0
+        has_condition = np.any(self.comm.allgather(has_condition_at_node.any(axis=1)), axis=0)
+        # Bodies that exchange heat have the same group.
+        group = np.arange(len(has_condition))
+        for master, slave in self._conducting_pairs():
+            group[group == group[slave]] = group[master]
+        isolated = np.flatnonzero(~np.isin(group, group[has_condition]))
+        if len(isolated):
+            raise InputError(
+                f"stages: there is no steady state: nothing sets the temperature of "
+                f"'{operators.bodies.names[isolated[0]]}'; allowed: a given temperature, "
+                "convection or perfusion on it, or an interface that conducts"
+            )
+
+    def _conducting_pairs(self) -> list[tuple[int, int]]:
+        """Pairs of bodies, by number, between which an interface conducts."""
+        operators = self.operators
         pairs: list[tuple[int, int]] = []
         for index, interface in enumerate(operators.scene.thermal_contacts):
             if operators.jumps and max(interface.law.conductances[:2]) > 0:
@@ -190,17 +205,7 @@ class ImplicitStep(System):
         body_of_region = operators.bodies.of_region
         for interface in operators.scene.sliding_heat:
             pairs.append((body_of_region[interface.master[0]], body_of_region[interface.slave[0]]))
-        # Bodies that exchange heat have the same group.
-        group = np.arange(len(is_set))
-        for master, slave in pairs:
-            group[group == group[slave]] = group[master]
-        isolated = np.flatnonzero(~np.isin(group, group[is_set]))
-        if len(isolated):
-            raise InputError(
-                f"stages: there is no steady state: nothing sets the temperature of "
-                f"'{operators.bodies.names[isolated[0]]}'; allowed: a given temperature, "
-                "convection or perfusion on it, or an interface that conducts"
-            )
+        return pairs
 
     def set_exchange(self, exchange: MeanExchange) -> None:
         """Set the exchange of surfaces with finite sliding; collective."""
@@ -247,6 +252,32 @@ class ImplicitStep(System):
             if self.comm.allreduce(is_same, MPI.LAND):
                 return self._last_evaluation
         T = operators.nodal(x)
+        residual_heat = self._conducted(T)
+        terms: list[Floats] = []
+        for term in self._terms_without_conduction(T):
+            residual_heat += term
+            terms += list(term)
+        flux = None
+        if jumps is not None:
+            flux = jumps.flux(x[1].array_r)
+            terms.append(jumps.weight * flux[0])
+        input_copies = [values.copy() for values in inputs]
+        self._last_evaluation = HeatEvaluation(input_copies, T, residual_heat, terms, flux)
+        return self._last_evaluation
+
+    def _conducted(self, T: Floats) -> Floats:
+        """Heat that conduction takes from the nodes of each body, K (T - T_0) (b, n) [N mm/s]."""
+        heat = np.empty_like(T)
+        temperature_rise, heat_flow = self._scratch
+        for b, K in enumerate(self.operators.principle.matrices):
+            temperature_rise.array[:] = T[b] - self.operators.reference
+            K.mult(temperature_rise, heat_flow)
+            heat[b] = heat_flow.array_r
+        return heat
+
+    def _terms_without_conduction(self, T: Floats) -> list[Floats]:
+        """All other terms of the residual heat r_b, each (b, n) [N mm/s]."""
+        operators = self.operators
         stored = self._inverse_length * operators.capacity * (T - self._start_temperatures)
         terms = [operators.loads.exchanged(T), stored, -self._source_heat]
         if operators.cure:
@@ -255,23 +286,7 @@ class ImplicitStep(System):
             terms.append(-operators.friction.nodal)
         if operators.exchange:
             terms.append(operators.exchange.heat_out_of_nodes(T - operators.reference))
-        residual_heat = np.empty_like(T)
-        temperature_rise, heat_flow = self._work
-        for b, K in enumerate(operators.principle.matrices):
-            temperature_rise.array[:] = T[b] - operators.reference
-            K.mult(temperature_rise, heat_flow)
-            residual_heat[b] = heat_flow.array_r
-        parts: list[Floats] = []
-        for term in terms:
-            residual_heat += term
-            parts += list(term)
-        flux = None
-        if jumps is not None:
-            flux = jumps.flux(x[1].array_r)
-            parts.append(jumps.weight * flux[0])
-        input_copies = [values.copy() for values in inputs]
-        self._last_evaluation = HeatEvaluation(input_copies, T, residual_heat, parts, flux)
-        return self._last_evaluation
+        return terms
 
     def residual(self, x: Sequence[PETSc.Vec], f: Sequence[PETSc.Vec]) -> None:
         """Residual heat, zero at prescribed temperatures and jumps [N mm/s]."""
@@ -280,9 +295,9 @@ class ImplicitStep(System):
         if jumps is not None and evaluation.flux:
             total = -jumps.weight * evaluation.flux[0]
             for b, B in jumps.moves.items():
-                self._work[1].array[:] = evaluation.residual_heat[b]
+                self._scratch[1].array[:] = evaluation.residual_heat[b]
                 to_jumps = f[1].duplicate()
-                B.multTranspose(self._work[1], to_jumps)
+                B.multTranspose(self._scratch[1], to_jumps)
                 total += to_jumps.array
             f[1].array[:] = np.where(jumps.prescribed, 0.0, total)
 
@@ -311,15 +326,15 @@ class ImplicitStep(System):
         supplied_by_conditions = np.where(
             self._is_prescribed, evaluation.residual_heat.sum(axis=0), 0.0
         )
-        parts = [supplied_by_conditions, *evaluation.parts]
+        terms = [supplied_by_conditions, *evaluation.terms]
         diagonal_terms = [
             diagonal * vector.array_r
             for diagonal, vector in zip(self._blocks.diagonal(), x, strict=True)
         ]
-        local_squares = np.array([float(a @ a) for a in (*parts, *diagonal_terms)])
+        local_squares = np.array([float(a @ a) for a in (*terms, *diagonal_terms)])
         norms = np.sqrt(np.array(self.comm.allreduce(local_squares, MPI.SUM)))
-        scale = float(norms[: len(parts)].sum())
-        rounding = ROUNDING * float(np.finfo(float).eps) * float(norms[len(parts) :].sum())
+        scale = float(norms[: len(terms)].sum())
+        rounding = ROUNDING * float(np.finfo(float).eps) * float(norms[len(terms) :].sum())
         return [Measure(block_norm(list(f)), RELATIVE_TOLERANCE * scale, rounding, lasting=False)]
 
     def flows(self, x: Sequence[PETSc.Vec]) -> dict[str, float]:

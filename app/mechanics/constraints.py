@@ -28,9 +28,8 @@ from app.scene.scene import Scene
 # A motion of a rigid region is constrained if its supports resist it by more than this fraction of
 # the motion they resist most.
 HELD_RESISTANCE = 1e-9
-# In place of a rigid region: nodes that move freely.
+# Number of the rigid region of nodes that move freely, and of nodes that follow others.
 FREE = -1
-# The same: nodes that follow others.
 FOLLOWS = -2
 
 
@@ -62,8 +61,8 @@ def _support_of_dofs(body_forms: BodyForms, stage: int, frames: Frames | None) -
             for c in np.flatnonzero(scene.supports[s].components):
                 support[nodes, c] = s
         if frames:
-            facets_of_body = frames.support(frame_rows, body, active_supports)
-            support_of_frames = np.where(facets_of_body >= 0, facets_of_body, support_of_frames)
+            support_of_body = frames.support(frame_rows, body, active_supports)
+            support_of_frames = np.where(support_of_body >= 0, support_of_body, support_of_frames)
     support[rows] = support_of_frames
     return support[: index_map.size_local]
 
@@ -83,12 +82,12 @@ def _prescribed_values(
 
     def values() -> Floats:
         displacements = np.zeros((len(scene.supports), *support_of.shape))
-        for s, term in enumerate(scene.supports):
+        for s, support in enumerate(scene.supports):
             rows = np.flatnonzero((support_of == s).any(axis=1))
-            values = term.values(x[rows])
+            components = support.values(x[rows])
             if axes is not None:
-                values = np.einsum("nic,ni->nc", axes[rows], values)
-            displacements[s, rows] = np.where(support_of[rows] == s, values, 0.0)
+                components = np.einsum("nic,ni->nc", axes[rows], components)
+            displacements[s, rows] = np.where(support_of[rows] == s, components, 0.0)
         return displacements
 
     return everywhere(space.mesh.comm, values)
@@ -157,8 +156,8 @@ class Constraints:
         axes: Floats = np.tile(np.eye(3), (nodes, 1, 1))
         oblique = np.zeros(nodes, dtype=bool)
         if frames:
-            rows, entry_columns = frames.owned(space.dofmap.index_map)
-            axes[rows], oblique[rows] = frames.axes[entry_columns], region[rows] == FREE
+            rows, frame_rows = frames.owned(space.dofmap.index_map)
+            axes[rows], oblique[rows] = frames.axes[frame_rows], region[rows] == FREE
 
         # Free nodes: supports, prescribed values and rigid modes.
         prescribed = _prescribed_values(scene, space, support_of, axes)
@@ -174,7 +173,7 @@ class Constraints:
         reacting = (support_of >= 0) & (region == FREE)[:, None]
         reacting[oblique] = reacting[oblique].any(axis=1, keepdims=True)
 
-        # Rows of P by node and component: one entry, with local axes three, in a rigid region six.
+        # Entries of P by node and component: one, three with local axes, six in a rigid region.
         columns = np.full((nodes, 3, 6), -1, dtype=np.int64)
         entries = np.zeros((nodes, 3, 6))
         columns[free_nodes, :, 0] = start + np.arange(free_unknowns).reshape(-1, 3)
@@ -184,7 +183,7 @@ class Constraints:
         for k, name in enumerate(moving):
             nodes_of_region, first_unknown = np.flatnonzero(region == k), first_rigid + 6 * k
             columns[nodes_of_region] = first_unknown + np.arange(6)
-            entries[nodes_of_region], rank = self._add_rigid(
+            entries[nodes_of_region], constrained_count = self._add_rigid(
                 comm,
                 scene,
                 name,
@@ -194,7 +193,7 @@ class Constraints:
                 support_of[nodes_of_region],
                 prescribed[:, nodes_of_region],
             )
-            reacting[nodes_of_region] |= rank > 0
+            reacting[nodes_of_region] |= constrained_count > 0
         self.reacting = reacting.ravel()
 
         is_entry = columns.reshape(-1, 6) >= 0
@@ -239,7 +238,8 @@ class Constraints:
             prescribed: Displacement by each support (s, n, 3) [mm].
 
         Returns:
-            Displacement of the nodes by the unknowns (n, 3, 6), and the constrained unknowns.
+            Displacement of the nodes by the unknowns (n, 3, 6), and the number of constrained
+            unknowns, which come first.
         """
         points = gather(comm, x)[0]
         centre, scale = points.mean(axis=0), np.ptp(points, axis=0).max() or 1.0
@@ -262,17 +262,20 @@ class Constraints:
             prescribed_values = [
                 np.concatenate([w, np.zeros(len(prescribed_motions))]) for w in prescribed_values
             ]
-        basis, rank, amounts = _constrained_motions(scene, region, rows, prescribed_values)
+        basis, constrained_count, amounts = _constrained_motions(
+            scene, region, rows, prescribed_values
+        )
         if comm.rank == 0:
             self._rigid_bases[first_unknown] = basis
-            self.constrained[first_unknown : first_unknown + rank] = True
-            self.unit[:, first_unknown : first_unknown + rank] = amounts[:, :rank]
+            constrained = slice(first_unknown, first_unknown + constrained_count)
+            self.constrained[constrained] = True
+            self.unit[:, constrained] = amounts[:, :constrained_count]
             # A rigid mode of the model in terms of this body: t + w x c, and w * scale.
             model_modes = np.eye(6)
             model_modes[:3, 3:] = rigid_modes(centre[None])[0, :, 3:]
             model_modes[3:] *= scale
             self.modes[:, first_unknown : first_unknown + 6] = (basis.T @ model_modes).T
-        return local @ basis, rank
+        return local @ basis, constrained_count
 
     def follow(self) -> None:
         """Let nodes follow the current pairs of their surfaces; collective."""
@@ -346,18 +349,17 @@ class Constraints:
         return self._P * u if self._P else u.copy()
 
     def transfer_rotated_axes(self, u: PETSc.Vec, old_constraints: Constraints) -> None:
-        """Transform the motions of rigid regions from the old axes to these."""
-        for place, basis in self._rigid_bases.items():
-            six_motions = slice(place, place + 6)
-            u.array[six_motions] = (
-                basis.T @ old_constraints._rigid_bases[place] @ u.array[six_motions]
-            )
+        """Transform the unknowns of rigid regions from the old bases to these."""
+        for first_unknown, basis in self._rigid_bases.items():
+            six_unknowns = slice(first_unknown, first_unknown + 6)
+            old_basis = old_constraints._rigid_bases[first_unknown]
+            u.array[six_unknowns] = basis.T @ old_basis @ u.array[six_unknowns]
 
     def contract(self, nodal: Floats) -> PETSc.Vec:
         """Find ũ from U = P ũ at owned nodes (3 nodes) by the normal equations; collective.
 
-        Nodes that follow others do not count: P^T P is the identity then but for a 6 x 6 block on
-        rank 0 per rigid region, which block Jacobi solves exactly.
+        Nodes that follow others do not count. P^T P is then the identity except for a 6 x 6 block
+        for each rigid region. All these blocks are on rank 0: block Jacobi is exact.
         """
         nodal_vector = PETSc.Vec().createWithArray(nodal.ravel(), comm=self._comm)
         P = self._P_without_followers
@@ -393,12 +395,13 @@ def _constrained_motions(
     inverse = np.linalg.pinv(rows, rcond=HELD_RESISTANCE)
     # Supports with the same load history count as one: only their sum has to be a rigid motion.
     for load_history in dict.fromkeys(s.history for s in scene.supports):
-        same_history = [s for s, term in enumerate(scene.supports) if term.history == load_history]
+        same_history = [
+            s for s, support in enumerate(scene.supports) if support.history == load_history
+        ]
         prescribed_sum = np.sum([prescribed_values[s] for s in same_history], axis=0)
         motion = inverse @ prescribed_sum
-        if np.abs(rows @ motion - prescribed_sum).max() > 1e-9 * max(
-            np.abs(prescribed_sum).max(), 1.0
-        ):
+        error = np.abs(rows @ motion - prescribed_sum).max()
+        if error > 1e-9 * max(np.abs(prescribed_sum).max(), 1.0):
             support_names = ", ".join(
                 scene.supports[s].name for s in same_history if prescribed_values[s].any()
             )

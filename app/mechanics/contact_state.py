@@ -124,10 +124,25 @@ class ContactState:
     @classmethod
     def at_rest(cls, gap: Floats, shapes: Mapping[str, tuple[int, ...]]) -> ContactState:
         """Unloaded state, for a gap (n, 3) and the shapes of the laws' internal variables."""
-        zero, zero_sizes = np.zeros_like(gap), np.zeros(len(gap))
-        values = {name: np.zeros((len(gap), *shape)) for name, shape in shapes.items()}
-        steps = (zero_sizes, zero_sizes, zero_sizes, zero_sizes, zero_sizes, zero_sizes, zero_sizes)
-        return cls(zero, zero, zero, zero, gap, zero, *steps, values)
+        zero_vectors, zero_scalars = np.zeros_like(gap), np.zeros(len(gap))
+        return cls(
+            jump=zero_vectors,
+            inserted=zero_vectors,
+            force=zero_vectors,
+            friction=zero_vectors,
+            opening=gap,
+            slip=zero_vectors,
+            step_slip=zero_scalars,
+            path=zero_scalars,
+            stored=zero_scalars,
+            dissipation=zero_scalars,
+            smallest_dissipation=zero_scalars,
+            contact_work=zero_scalars,
+            work=zero_scalars,
+            internal_variables={
+                name: np.zeros((len(gap), *shape)) for name, shape in shapes.items()
+            },
+        )
 
 
 def prescribed_jump(
@@ -138,34 +153,24 @@ def prescribed_jump(
     Args:
         points: All points.
         rows: Local points (n,).
-        number: Index of the support.
+        number: Index of the support in the scene.
         support: The support.
-        rigid_displacement: Displacement that it prescribes, of the nodes of local points (n, 3)
-            [mm].
+        rigid_displacement: Displacement of the nodes of local points on rigid regions, as the
+            support prescribes it (n, 3) [mm].
     """
-    support_of_component, axes, x = (
-        points.prescribing_support[rows],
-        points.axes[rows],
-        points.x[rows],
-    )
+    prescribing_support, x = points.prescribing_support[rows], points.x[rows]
     jump = np.zeros(x.shape)
-    for side, sign in ((0, -1.0), (1, 1.0)):
-        for support_index, values in ((number, None), (RIGIDLY, rigid_displacement)):
-            rows_of_side = np.flatnonzero(
-                (support_of_component[:, :, side] == support_index).any(axis=1)
-            )
-            if not len(rows_of_side):
+    for side, sign in ((0, -1.0), (1, 1.0)):  # master, slave
+        for index in (number, RIGIDLY):
+            is_prescribed = prescribing_support[:, :, side] == index
+            held = np.flatnonzero(is_prescribed.any(axis=1))
+            if not len(held):
                 continue
-            of_side = support.values(x[rows_of_side]) if values is None else values[rows_of_side]
-            component_values = np.einsum("pic,pi->pc", axes[rows_of_side], of_side)
-            component_values = np.where(
-                support_of_component[rows_of_side][:, :, side] == support_index,
-                component_values,
-                0.0,
-            )
-            jump[rows_of_side] += sign * np.einsum(
-                "pic,pc->pi", axes[rows_of_side], component_values
-            )
+            displacement = rigid_displacement[held] if index == RIGIDLY else support.values(x[held])
+            axes = points.axes[rows][held]
+            components = np.einsum("pic,pi->pc", axes, displacement)
+            components = np.where(is_prescribed[held], components, 0.0)
+            jump[held] += sign * np.einsum("pic,pc->pi", axes, components)
     return jump
 
 
@@ -192,19 +197,18 @@ def with_rigid_regions(
             touched_nodes(space, tags == body_forms.tagged.regions[region])
         )
         rigid_vertices = np.flatnonzero(np.isin(dof, region_nodes + first_owned))
-        of_node = np.array([axes.get(int(v), np.eye(3)) for v in vertex[rigid_vertices]]).reshape(
-            -1, 3, 3
-        )
+        local_axes = [axes.get(int(v), np.eye(3)) for v in vertex[rigid_vertices]]
+        axes_of_vertices = np.array(local_axes).reshape(-1, 3, 3)
         is_prescribed = np.ones((len(rigid_vertices), 3), dtype=bool)
         for stage_constraints in constraints:
             is_prescribed &= stage_constraints.prescribed_components(
-                dof[rigid_vertices] - first_owned, of_node
+                dof[rigid_vertices] - first_owned, axes_of_vertices
             )
         body = np.full(len(rigid_vertices), bodies.of_region[region])
         support = np.where(is_prescribed, RIGIDLY, -1)
         rows = vertex[rigid_vertices], body, support, np.ones(len(rigid_vertices), dtype=bool)
-        vertices, of_bodies, supports, at_rigid = gather(body_forms.mesh.comm, *rows)
-        all_holds.append((vertices, of_bodies, supports, at_rigid))
+        vertices, body_numbers, supports, is_rigid = gather(body_forms.mesh.comm, *rows)
+        all_holds.append((vertices, body_numbers, supports, is_rigid))
     # A rigid region replaces supports of its body at the same vertex.
     columns = [np.concatenate(column) for column in zip(*reversed(all_holds), strict=True)]
     sides = np.column_stack(columns[:2])
@@ -219,7 +223,7 @@ def refuse_loose_regions(
     facets: InterfaceFacets,
     axes: Mapping[int, Floats],
 ) -> None:
-    """Refuse supports that hold an elastic side where none prescribes the motion of the rigid one.
+    """Refuse supports of an elastic body at a point of a rigid region that is free there.
 
     Raises:
         InputError: There is such a support; the message has the first one and its place.

@@ -17,11 +17,11 @@ with
 - e: the equilibrium of the contact points (`JumpCoupling.equilibrium`); W their areas.
 - F: the forces of contact and other laws at equilibrium and jumps (`ContactInterfaces.trial`, by
   `PointLaw.evaluate` from `InterfaceLaw.response`). See `mechanics.contact` for F = P(-e/W + r D).
-- Rows of displacements that supports prescribe hold their deviation (`Stiffness.prescribed`).
+- In rows that supports prescribe, r_u is the deviation from their values (`Stiffness.prescribed`).
 
-K, C and D are assembled once. `mechanics.systems` adds the Jacobian. Heat enters by f alone, and
-leaves by pressures and friction of `trial` (`stepping.contact_heat`); `heat.implicit_step` has its
-equations.
+K, C and D are assembled once. `mechanics.systems` adds the Jacobian. Heat changes f alone; the
+pressures and friction of `trial` change the heat (`stepping.contact_heat`), whose equations are in
+`heat.implicit_step`.
 """
 
 from __future__ import annotations
@@ -65,6 +65,7 @@ class Problem:
         followers: Nodes of surfaces with finite sliding, if there are any.
         sliding: State of bodies with such surfaces.
         time: Current time: stage k runs from k to k + 1.
+        load_time: Time on the load histories at the current time.
         f: Forces on the unknowns of the displacement at that time [N].
         f_q: Forces on the jumps [N].
         prescribed: Values of constrained unknowns (n,).
@@ -108,19 +109,24 @@ class Problem:
         self.followers = Followers(self.body_forms) if finitely_sliding(scene) else None
         shared_stiffness = same_stiffness.stiffness if same_stiffness else None
         self.stiffness: Stiffness = Stiffness(self.body_forms, shared_stiffness, self.followers)
-        discretization = self.body_forms, self.stiffness
         self.contact = (
-            ContactInterfaces(*discretization, augmentation_factor) if scene.contacts else None
+            ContactInterfaces(self.body_forms, self.stiffness, augmentation_factor)
+            if scene.contacts
+            else None
         )
         self.jump_displacements = {
-            b: fem.Function(self.space, name=f"displacement {self.bodies.names[b]}")
-            for b in (self.contact.coupling.jump_to_displacement if self.contact else ())
+            body: fem.Function(self.space, name=f"displacement {self.bodies.names[body]}")
+            for body in (self.contact.coupling.jump_to_displacement if self.contact else ())
         }
         self.sliding: SlidingBodies | None = None
         sliding_points = self.contact.finite_sliding if self.contact else None
         if self.contact and sliding_points:
             self.sliding = SlidingBodies(
-                *discretization, self.contact, sliding_points, self.jump_displacements
+                self.body_forms,
+                self.stiffness,
+                self.contact,
+                sliding_points,
+                self.jump_displacements,
             )
         self.forces = Forces(scene, self.body_forms, self.contact)
         self.thermal_strain = (
@@ -165,12 +171,14 @@ class Problem:
 
     @property
     def row_keys(self) -> dict[str, Ints]:
-        """Keys of nodes."""
+        """Keys of the nodes that own the rows of saved arrays, by attribute."""
         return {"u": node_keys(self.space), "body_forms": node_keys(self.body_forms.scalars)}
 
     def restored(self) -> None:
         """Update supports and stiffness to the restored stage and cure; collective."""
-        stage, self.stiffness.stage = self.stiffness.stage, 0
+        stage = self.stiffness.stage
+        # The matrices are those of the first stage.
+        self.stiffness.stage = 0
         self.set_stage(stage, self.stiffness.K.createVecRight())
         if self.body_forms.growth:
             self._reassemble()
@@ -209,28 +217,27 @@ class Problem:
 
     def set_time(self, time: float) -> None:
         """Set loads, supports and gaps to a time; the state itself is unchanged."""
-        self.time, time = time, self.scene.load_time(time)
-        self.load_time = time
+        self.time, self.load_time = time, self.scene.load_time(time)
         if self.followers:
-            self.followers.set_time(time)
+            self.followers.set_time(self.load_time)
         if self.contact:
-            self.contact.set_time(time)
+            self.contact.set_time(self.load_time)
         if self.sliding:
             self.sliding.follow()
-        self._set_forces(time)
+        self._set_forces(self.load_time)
 
-    def _set_forces(self, time: float) -> None:
-        action = self.forces.total_at(time)
-        nodal = PETSc.Vec().createWithArray(action.nodal, comm=self.comm)
-        self.f, self.f_q = self.stiffness.constraints.vector(nodal), action.jump
+    def _set_forces(self, load_time: float) -> None:
+        total = self.forces.total_at(load_time)
+        nodal = PETSc.Vec().createWithArray(total.nodal, comm=self.comm)
+        self.f, self.f_q = self.stiffness.constraints.vector(nodal), total.jump
         self.load_size = float(self.f.norm())
-        amplitudes = [amplitude(s.history, time) for s in self.scene.supports]
+        amplitudes = [amplitude(s.history, load_time) for s in self.scene.supports]
         self.prescribed = self.stiffness.prescribed(self.f, amplitudes)
         self.body_forms.set_amplitudes(
             {
-                (e.region, k): amplitude(s.history, time)
-                for e in self.scene.elastic
-                for k, s in enumerate(e.eigenstrains)
+                (elastic.region, k): amplitude(strain.history, load_time)
+                for elastic in self.scene.elastic
+                for k, strain in enumerate(elastic.eigenstrains)
             }
         )
 
@@ -282,10 +289,10 @@ class Problem:
     def residual(
         self, u: PETSc.Vec, q: PETSc.Vec | None, r_u: PETSc.Vec, r_q: PETSc.Vec | None = None
     ) -> TrialState | None:
-        """Sum the terms of equilibrium [N]; return contact at the state if r_q is asked for.
+        """Sum the terms of equilibrium into r_u and r_q [N]; return contact at the state with r_q.
 
-        A preconditioner of another stage changes constrained rows too: their residual is the
-        deviation from the prescribed values.
+        In constrained rows the residual is the deviation from the prescribed values: a kept
+        preconditioner of another stage does not leave these rows unchanged.
         """
         # Bodies: elastic energy, loads and free strains, supports.
         self.stiffness.K.mult(u, r_u)
@@ -318,25 +325,26 @@ class Problem:
     def force_scale(self, u: PETSc.Vec, q: PETSc.Vec | None) -> float:
         """Size of the forces in a state: loads, reactions and interface forces [N].
 
-        Forces that would move the constrained unknowns of a model at rest do not count: on a fine
-        mesh they exceed all others by far.
+        The forces that a change of the prescribed displacements alone would cause are no scale: on
+        a fine mesh they exceed all others by far.
         """
         reactions = self.stiffness.reactions * u
         if self.contact is None:
             return self.load_size + float(reactions.norm())
-        by_jumps = self.contact.coupling.C * q
-        reactions.array[:] += by_jumps.array_r[self.stiffness.constraints.constrained]
+        forces_of_jumps = self.contact.coupling.C * q
+        reactions.array[:] += forces_of_jumps.array_r[self.stiffness.constraints.constrained]
         e = self.contact.coupling.equilibrium(u, q, self.f_q)
         return self.interface_scale(e) + float(reactions.norm())
 
     def interface_scale(self, e: Floats) -> float:
         """Size of loads and interface forces, from equilibrium e (n, 3) [N]; collective."""
         assert self.contact is not None
-        squared_sums = [float(np.sum(v**2)) for v in (self.contact.local.project_free(e), self.f_q)]
-        return self.load_size + float(np.sqrt(self.comm.allreduce(np.array(squared_sums))).sum())
+        forces = self.contact.local.project_free(e), self.f_q
+        local_squares = np.array([float(np.sum(force**2)) for force in forces])
+        return self.load_size + float(np.sqrt(self.comm.allreduce(local_squares)).sum())
 
     def rounding(self, u: PETSc.Vec, q: PETSc.Vec | None = None) -> float:
-        """Residual by rounding alone, large for a stiff body that moves [N]."""
+        """Residual that rounding alone causes [N]; large for a stiff body that moves."""
         error = rounding(self.stiffness.diagonal, u)
         if self.contact and q is not None:
             error += rounding(self.contact.coupling.D.getDiagonal(), q)
@@ -352,11 +360,11 @@ class Problem:
         self.u.x.scatter_forward()
         if self.contact is None:
             return
-        by_jumps = nodal.duplicate()
+        of_jumps = nodal.duplicate()
         for body, B in self.contact.coupling.jump_to_displacement.items():
-            B.mult(q, by_jumps)
+            B.mult(q, of_jumps)
             function = self.jump_displacements[body]
-            function.x.petsc_vec.array[:owned] = nodal.array + by_jumps.array
+            function.x.petsc_vec.array[:owned] = nodal.array + of_jumps.array
             function.x.scatter_forward()
 
     @property

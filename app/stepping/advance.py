@@ -1,7 +1,7 @@
 """The loop over steps: try one, cut it back or let the next one grow, commit, save.
 
-There are steppers of loads, of given fracture energy, of heat and of creep. Other packages may add
-steppers. The control of a stepper chooses the lengths of its steps.
+A stepper solves steps: of loads, of given fracture energy, of heat, of creep, or those of another
+package. The control of a stepper chooses their lengths.
 """
 
 from __future__ import annotations
@@ -92,8 +92,8 @@ class Progress:
     """Progress along a path from 0 to 1 that consists of increments.
 
     Attributes:
-        step: Length of the next step, as a part of the path; 0 if no path has been begun.
-        done: Completed part of the path.
+        step: Length of the next step, as a fraction of the path; 0 before the path begins.
+        done: Completed fraction of the path.
         cuts: Number of halvings of the step less the number of later increases.
     """
 
@@ -107,7 +107,7 @@ class Progress:
         It reaches this end if less than a thousandth of a step would be left.
 
         Args:
-            increment: Length of an increment, as a part of the path.
+            increment: Length of an increment, as a fraction of the path.
         """
         goal = (math.floor(self.done / increment + 1e-9) + 1) * increment
         if goal > 1.0 - 1e-9:
@@ -121,8 +121,8 @@ class Growth:
     """Factor from the length of a step to that of the next, by its error over the tolerance.
 
     Attributes:
-        safety: Part of the tolerance that steps aim at, for errors of second order.
-        smallest: Least factor.
+        safety: Factor on the length that the tolerance allows for an error of second order.
+        smallest: Smallest factor.
         largest: Largest factor.
         after_failure: Factor after a step that was not solved.
     """

@@ -1,4 +1,4 @@
-r"""Coarse start: a solve starts from the jumps of a cheaper model.
+r"""Nested start: a solve starts from the jumps of a cheaper model.
 
 The cheaper model is a copy of the case on a mesh twice as coarse. It is solved load step by load
 step next to the run. A large copy is itself started by a still coarser one. If no coarser mesh
@@ -6,7 +6,8 @@ exists, the copy has first order. Its jumps are interpolated on the interface. T
 follows from the jumps, K u = f - C q, to a rough tolerance.
 
 A stance of 94,000 unknowns takes 6 Newton iterations instead of 11. With the cheaper model included
-it takes a fifth less time. A preceding linear step in displacement, jumps and forces saves nothing.
+it takes a fifth less time. A linear step in displacement, jumps and forces before the solve was
+measured too, and saves nothing.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ log = logging.getLogger("mantle")
 
 # Relative residual of the displacement from interpolated jumps.
 ROUGH_TOLERANCE = 0.1
-# A start is good enough if its residual is below this part of that of the unloaded state.
+# A start is good enough if its residual is below this fraction of the unloaded state's.
 GOOD_START = 0.1
 
 
@@ -72,7 +73,7 @@ class CoarseModelStart:
         self._start_from(jump)
 
     def commit(self, time: float) -> None:
-        """Store the time: the cheaper model solves it before the next start."""
+        """Store the time: the cheaper model solves up to it before the next start."""
         self._passed_times.append(time)
 
     def _interpolated_jump(self, time: float) -> Floats:
@@ -97,8 +98,8 @@ class CoarseModelStart:
         problem = coarse.problem
         problem.set_stage(k, coarse.solver.u_and_q()[0])
 
-        def set_load(s: float) -> None:
-            problem.set_time(start_time + s * (time - start_time))
+        def set_load(fraction: float) -> None:
+            problem.set_time(start_time + fraction * (time - start_time))
 
         # A start that needs many steps does not pay.
         stage = problem.scene.stages[k].model_copy(update={"adaptive": False})
@@ -125,12 +126,12 @@ class CoarseModelStart:
 
 def interpolate_in_time(values_at: list[tuple[float, Floats]], time: float) -> Floats:
     """Values at a time, on the line through the last two known values."""
-    (t1, value_after) = values_at[-1]
+    t1, last_values = values_at[-1]
     if time == t1 or len(values_at) == 1:
-        return value_after
-    t0, value_before = values_at[-2]
-    s = (time - t0) / (t1 - t0)
-    return (1 - s) * value_before + s * value_after
+        return last_values
+    t0, values_before = values_at[-2]
+    fraction = (time - t0) / (t1 - t0)
+    return (1 - fraction) * values_before + fraction * last_values
 
 
 def interpolation(source: ContactPoints, target: ContactPoints, owned: Ints) -> csr_array:

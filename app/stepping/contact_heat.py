@@ -12,8 +12,8 @@ normals that are pressed. Pressures and friction work change by
 .. math:: dp_k = -m_k·P' dS, \qquad dw = s·P' dS + F_T·(dq - (de/W + P' dS)/r),
           \qquad dS = -de/W + r\,dq
 
-with e the equilibrium in the rows of the contact points. S and s contain the share of the
-multiplier.
+with e the equilibrium in the rows of the contact points. Only a share of the multiplier -e/W enters
+S and s (`PointLaw.multiplier_share`).
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ import numpy as np
 
 from app.foundation.arrays import Floats, Ints
 from app.heat.operators import HeatOperators
+from app.heat.temperature_jumps import TemperatureJumps
 from app.interfaces.faces import dual_vectors
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
@@ -58,8 +59,8 @@ class ContactHeat:
         self.expanding_regions = set(problem.body_forms.free_strain)
         assert problem.contact is not None
         contact = self._contact = problem.contact
-        comm, points = problem.comm, contact.points
-        column_of_point = owners(comm, problem.space.dofmap.index_map, points.dof)[1]
+        index_map = problem.space.dofmap.index_map
+        column_of_point = owners(problem.comm, index_map, contact.points.dof)[1]
         self._point_count = len(contact.local)
         self.begin(np.inf, self.zero_work())
         self.friction_work: Floats = self.zero_work()
@@ -72,37 +73,11 @@ class ContactHeat:
             contact.local.interface,
             [i for i, name in enumerate(contact_names) if name in heated_interfaces],
         )
-        surface = points.surface
-        index_of_point = {
-            (contact_names[i], v): k
-            for k, (i, v) in enumerate(zip(surface.interface, surface.vertex, strict=True))
-        }
         self.pressure_interpolation: PETSc.Mat | None = None
         self.value_interpolation: PETSc.Mat | None = None
-        jumps = operators.jumps
-        if jumps is not None:
-            interface_names = [scene.thermal_contacts[i].name for i in jumps.interface]
-            keys = zip(interface_names, jumps.points.vertex[jumps.owned_rows], strict=True)
-            positions = np.array([index_of_point.get(key, -1) for key in keys], dtype=np.int64)
-            rows = np.flatnonzero(positions >= 0)
-            corner = positions[rows]
-            row_of_face = np.repeat(rows, 3)
-            face = (3 * corner[:, None] + np.arange(3)).ravel()
-            by_value = rows, corner, np.ones(len(rows))
-            by_face = row_of_face, face, np.ones(len(face))
-            if surface.dependence is not None:
-                values = surface.dependence.values[corner].tocoo()
-                by_value = rows[values.row], values.col, values.data
-                pressures = surface.dependence.pressures[face].tocoo()
-                by_face = row_of_face[pressures.row], pressures.col, pressures.data
-            row, point, value = by_value
-            self.value_interpolation = from_triplets(
-                comm, len(positions), self._point_count, row, column_of_point[point], value
-            )
-            row, face, value = by_face
-            column = 3 * column_of_point[face // 3] + face % 3
-            self.pressure_interpolation = from_triplets(
-                comm, len(positions), 3 * self._point_count, row, column, value
+        if operators.jumps is not None:
+            self.value_interpolation, self.pressure_interpolation = _interpolations(
+                scene, contact, operators.jumps, column_of_point
             )
 
     def to_mechanics(self, heat: Sequence[PETSc.Vec]) -> None:
@@ -188,6 +163,43 @@ class ContactHeat:
             self._contact.law.multiplier_share / self._contact.local.weight[:, None, None]
         )
         return -by_force @ multiplier_share, directions @ trial.law.by_jump
+
+
+def _interpolations(
+    scene: Scene, contact: ContactInterfaces, jumps: TemperatureJumps, column_of_point: Ints
+) -> tuple[PETSc.Mat, PETSc.Mat]:
+    """Matrices from contact points, and from their faces, to owned points of temperature jumps.
+
+    A row is zero where an interface of finite conductance has no contact.
+    """
+    surface, comm, point_count = contact.points.surface, contact.comm, len(contact.local)
+    contact_names = [c.name for c in scene.contacts]
+    corner_of_vertex = {
+        (contact_names[i], vertex): corner
+        for corner, (i, vertex) in enumerate(zip(surface.interface, surface.vertex, strict=True))
+    }
+    interface_names = [scene.thermal_contacts[i].name for i in jumps.interface]
+    keys = zip(interface_names, jumps.points.vertex[jumps.owned_rows], strict=True)
+    corners = np.array([corner_of_vertex.get(key, -1) for key in keys], dtype=np.int64)
+    rows = np.flatnonzero(corners >= 0)
+    corner = corners[rows]
+    row_of_face = np.repeat(rows, 3)
+    face = (3 * corner[:, None] + np.arange(3)).ravel()
+    by_value = rows, corner, np.ones(len(rows))
+    by_face = row_of_face, face, np.ones(len(face))
+    if surface.dependence is not None:
+        values = surface.dependence.values[corner].tocoo()
+        by_value = rows[values.row], values.col, values.data
+        pressures = surface.dependence.pressures[face].tocoo()
+        by_face = row_of_face[pressures.row], pressures.col, pressures.data
+    row, point, value = by_value
+    value_interpolation = from_triplets(
+        comm, len(corners), point_count, row, column_of_point[point], value
+    )
+    row, face, value = by_face
+    column = 3 * column_of_point[face // 3] + face % 3
+    pressure_interpolation = from_triplets(comm, len(corners), 3 * point_count, row, column, value)
+    return value_interpolation, pressure_interpolation
 
 
 def _friction_heat_matrices(

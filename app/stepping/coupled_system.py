@@ -35,7 +35,7 @@ class CoupledSystem(ContactSystem):
     """Displacement and jumps, preceded by temperature and its jumps.
 
     Attributes:
-        exchange: Contact in the heat equation.
+        contact_heat: Contact in the heat equation.
 
     Args:
         committed: Converged displacement and jumps, kept up to date.
@@ -50,10 +50,10 @@ class CoupledSystem(ContactSystem):
     ) -> None:
         super().__init__(problem)
         self._heat, self._committed = heat, committed
-        self.exchange = ContactHeat(scene, problem, heat.operators)
+        self.contact_heat = ContactHeat(scene, problem, heat.operators)
         self._heat_blocks = len(heat.blocks())
         self._thermal_forces = (
-            self._assemble_thermal_forces() if self.exchange.expanding_regions else None
+            self._assemble_thermal_forces() if self.contact_heat.expanding_regions else None
         )
         # Heat enters the rows of its nodes and of its jumps.
         self._friction_heat = self._assemble_friction_heat()
@@ -81,9 +81,9 @@ class CoupledSystem(ContactSystem):
             work: Initial friction work per area (n,) [N/mm].
         """
         k, stage, start = self._stage
-        part = 1.0 if stage.steady else min((seconds - start) / stage.seconds, 1.0)
-        self._problem.set_time(k + part)
-        self.exchange.begin(h, work)
+        fraction = 1.0 if stage.steady else min((seconds - start) / stage.seconds, 1.0)
+        self._problem.set_time(k + fraction)
+        self.contact_heat.begin(h, work)
 
     def restore(self, x: list[PETSc.Vec]) -> None:
         """Set blocks x to the converged state of the mechanics."""
@@ -123,16 +123,16 @@ class CoupledSystem(ContactSystem):
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
         """Set the residuals: heat for the current contact, forces for the current temperatures."""
-        self.exchange.to_mechanics(x[: self._heat_blocks])
+        self.contact_heat.to_mechanics(x[: self._heat_blocks])
         super().residual(x[self._heat_blocks :], f[self._heat_blocks :])
-        self.exchange.to_heat(self.trial)
+        self.contact_heat.to_heat(self.trial)
         self._heat.residual(x[: self._heat_blocks], f[: self._heat_blocks])
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """Assemble all blocks at the state of the last residual."""
         super().jacobian(x[self._heat_blocks :])
         trial = self.trial
-        self.exchange.to_heat(trial)
+        self.contact_heat.to_heat(trial)
         self._heat.jacobian(x[: self._heat_blocks])
         by_motion, corrections = self._derivatives_by_motion(trial, x)
         _copy(by_motion, self._by_motion)
@@ -156,17 +156,18 @@ class CoupledSystem(ContactSystem):
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Sizes of heat and forces, each with its scale."""
         heat = self._heat.measure(x[: self._heat_blocks], f[: self._heat_blocks])[0]
-        noise = self.exchange.rounding(self._problem.trial(*x[self._heat_blocks :]))
-        heat = replace(heat, rounding=heat.rounding + noise)
+        of_friction = self.contact_heat.rounding(self._problem.trial(*x[self._heat_blocks :]))
+        heat = replace(heat, rounding=heat.rounding + of_friction)
         return [heat, *super().measure(x[self._heat_blocks :], f[self._heat_blocks :])]
 
     def _assemble_thermal_forces(self) -> list[list[PETSc.Mat]]:
         """Minus the thermal forces by temperatures and their jumps, in rows of the mechanics."""
         operators = self._heat.operators
         by_body = operators.jumps.moves if operators.jumps else {}
-        of_region = operators.bodies.of_region.items()
-        moves = {r: by_body[b] for r, b in of_region if b in by_body}
-        problem, sizes = self._problem, [v.getSizes() for v in self.blocks().values()]
+        body_of_region = operators.bodies.of_region
+        moves = {r: by_body[b] for r, b in body_of_region.items() if b in by_body}
+        problem = self._problem
+        sizes = [v.getSizes() for v in self.blocks().values()]
         assert problem.thermal_strain is not None
         rows = problem.thermal_strain.stiffness(moves, problem.stiffness, self.contact)
         blocks: list[list[PETSc.Mat]] = []
@@ -188,36 +189,40 @@ class CoupledSystem(ContactSystem):
 
     def _assemble_friction_heat(self) -> list[PETSc.Mat]:
         """Minus the heat by friction power, in rows of temperatures and of their jumps."""
-        operators, heats = self._heat.operators, self.exchange.nodal_heat
-        scaling = self._heat.vectors()
-        nodes = [matrix_sum(heats)]
-        is_fixed = [operators.fixed.base_condition >= 0]
+        operators, nodal_heat = self._heat.operators, self.contact_heat.nodal_heat
+        blocks = [matrix_sum(nodal_heat)]
+        is_prescribed = [operators.fixed.base_condition >= 0]
         jumps = operators.jumps
         if jumps is not None:
-            nodes.append(matrix_sum([B.transposeMatMult(heats[b]) for b, B in jumps.moves.items()]))
-            is_fixed.append(jumps.prescribed)
-        for A, scale, held_rows in zip(nodes, scaling, is_fixed, strict=True):
-            scale.array[:] = np.where(held_rows, 0.0, -1.0)
+            at_jumps = [B.transposeMatMult(nodal_heat[b]) for b, B in jumps.moves.items()]
+            blocks.append(matrix_sum(at_jumps))
+            is_prescribed.append(jumps.prescribed)
+        for A, scale, is_zero_row in zip(blocks, self._heat.vectors(), is_prescribed, strict=True):
+            scale.array[:] = np.where(is_zero_row, 0.0, -1.0)
             A.diagonalScale(scale)
-        return nodes
+        return blocks
 
     def _derivatives_by_motion(
         self, trial: TrialState, x: list[PETSc.Vec]
     ) -> tuple[list[list[PETSc.Mat]], list[list[PETSc.Mat]]]:
-        """Blocks in rows of the heat: columns of the mechanics; additions to those of the heat."""
-        power = self._point_rows(self.exchange.power_rows(trial))
+        """Blocks in the rows of the heat.
+
+        Returns:
+            Those in columns of the mechanics, and terms to add to those in columns of the heat.
+        """
+        power = self._point_rows(self.contact_heat.power_rows(trial))
         rows = [
             [friction_heat.matMult(derivative) for derivative in power]
             for friction_heat in self._friction_heat
         ]
-        jumps, pressed = self._heat.operators.jumps, self.exchange.pressure_interpolation
-        if jumps is not None and pressed is not None:
-            flux_by_pressure = pressed.copy()
+        jumps, interpolation = self._heat.operators.jumps, self.contact_heat.pressure_interpolation
+        if jumps is not None and interpolation is not None:
+            flux_by_pressure = interpolation.copy()
             by_pressure = x[1].duplicate()
             flux_derivative = jumps.weight * jumps.flux(x[1].array)[2]
             by_pressure.array[:] = np.where(jumps.prescribed, 0.0, -flux_derivative)
             flux_by_pressure.diagonalScale(by_pressure)
-            pressure = self._point_rows(self.exchange.pressure_rows(trial))
+            pressure = self._point_rows(self.contact_heat.pressure_rows(trial))
             rows[1] = [
                 A + flux_by_pressure.matMult(derivative)
                 for A, derivative in zip(rows[1], pressure, strict=True)

@@ -28,9 +28,9 @@ from app.stepping.load_steps import LoadStepper
 # Largest number of solves of a step. Mostly three suffice. Anderson's acceleration saves 8 % of
 # them (measured).
 MAX_SOLVES = 40
-# Strains have settled if they change by less than this part of the tolerance of a step.
+# Strains have settled if they change by less than this fraction of the tolerance of a step.
 SETTLED = 0.02
-# Part by which the last step may exceed the length of a step.
+# Fraction by which the last step may exceed the chosen length.
 LENGTHENING = 0.001
 GROWTH = Growth(safety=0.8, smallest=0.2, largest=10.0, after_failure=0.2)
 
@@ -77,10 +77,15 @@ class CreepStepper:
         advance(steps, steps, checkpoint_point)
         self.done = self.length = 0.0
 
-    def part(self, stage: Stage) -> float:
-        """Completed part of the stage [-]. The second half is the creep, on a logarithmic scale."""
-        log = math.log1p(self.done) / math.log1p(stage.creep)
-        return stage.loaded + (1 - stage.loaded) * log if self.done < stage.creep else 1.0
+    def fraction(self, stage: Stage) -> float:
+        """Completed fraction of the stage [-].
+
+        Creep follows the loads, which end at `Stage.loaded`. Its scale is logarithmic.
+        """
+        if self.done >= stage.creep:
+            return 1.0
+        crept = math.log1p(self.done) / math.log1p(stage.creep)
+        return stage.loaded + (1 - stage.loaded) * crept
 
     def outcome(self) -> NewtonResult:
         """Outcome of the last solve, with the iterations of all solves of the step."""
@@ -105,8 +110,11 @@ class CreepStepper:
         Raises:
             _FailedError: The step was not solved. The state is reset, too.
         """
-        x, contact, self._results = self._solver.x.copy(), self._problem.contact, []
-        state, contact_state = self._stress_history.state(), contact.state if contact else None
+        self._results = []
+        x = self._solver.x.copy()
+        state = self._stress_history.state()
+        contact = self._problem.contact
+        contact_state = contact.state if contact else None
         scale = stage.creep_tolerance * self._creep.elastic_strain(self._stress())
 
         def return_to_start() -> None:
@@ -145,11 +153,11 @@ class CreepStepper:
         relaxed_stress = self._creep.stress_relaxation(self._stress(), h)
         for _ in range(MAX_SOLVES):
             self._solve(relaxed_stress, h)
-            relaxed_before, relaxed_stress = (
+            previous, relaxed_stress = (
                 relaxed_stress,
                 self._creep.stress_relaxation(self._stress(), h),
             )
-            if self._largest_creep_strain(relaxed_stress - relaxed_before) <= SETTLED * scale:
+            if self._largest_creep_strain(relaxed_stress - previous) <= SETTLED * scale:
                 return relaxed_stress
         raise _FailedError
 
@@ -221,13 +229,13 @@ class CreepSteps:
         if self._failures > stage.max_cut_backs or (self._failures and not stage.adaptive):
             problem, solver = stepper.load_stepper.problem, stepper.load_stepper.solver
             explanation = explain(problem, solver, stepper.outcome())
-            raise explanation.error(stage.name, stepper.part(stage), [])
+            raise explanation.error(stage.name, stepper.fraction(stage), [])
         stepper.load_stepper.total.rejected += 1
 
     def commit(self, step: Step, started: float) -> None:
         """Commit the step last tried; collective."""
         stepper, stage = self._stepper, self._stage
-        time = self._k + stepper.part(stage)
+        time = self._k + stepper.fraction(stage)
         stepper.load_stepper.problem.set_time(time)
         outcome = stepper.outcome()
         stepper.load_stepper.commit(stage, time, outcome, started, step.ends_increment)

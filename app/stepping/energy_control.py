@@ -1,8 +1,8 @@
 r"""Steps of given fracture energy: the load is an unknown, so that brittle interfaces do not jump.
 
 While an interface breaks, the load may have to fall, and the displacement too (snap-back). The
-dissipated energy always grows. With residual R, state x and part s of the path of loads a step
-solves
+dissipated energy always grows. With residual R, state x and
+fraction s of the path of loads a step solves
 
 .. math:: R(x, s) = 0, \qquad \sum_p W_p w_p(x) = E
 
@@ -20,7 +20,7 @@ step begins at an elastic state just beyond the onset of damage (`start_beyond_o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from petsc4py import PETSc
 
@@ -37,7 +37,7 @@ from app.numerics.system import MatrixFree, Measure
 ITERATIONS = 25
 # Relative tolerance of the energy of a step.
 ENERGY_TOLERANCE = 1e-6
-# Difference in the part of the path for the derivative by the load.
+# Difference in the fraction of the path for the derivative by the load.
 PATH_STEP = 1e-4
 # Relative tolerance of the linear solver.
 LINEAR_TOLERANCE = 1e-9
@@ -77,11 +77,11 @@ def start_beyond_onset(
         problem: The mechanical problem.
         solver: Solver of the problem, at the last converged state.
         energy: Energy of the step [N mm].
-        path: Parts of the path of loads at the beginning and the end of the load step.
-        set_load: Sets the problem to a part of the path.
+        path: Fractions of the path of loads at the beginning and the end of the load step.
+        set_load: Sets the problem to a fraction of the path.
 
     Returns:
-        Part of the path of that state, or None if no damage is possible; collective.
+        Fraction of the path at that state, or None if no damage is possible; collective.
     """
     contact, start = problem.contact, solver.x.copy()
     if contact is None or not contact.law.freeze(True):
@@ -91,38 +91,39 @@ def start_beyond_onset(
     contact.law.freeze(False)
     end = solver.x.copy()
 
-    def spent_at(part: float) -> float:
+    def move_to(fraction: float) -> float:
+        """Set the solver to a point of the line; return the energy dissipated there."""
         end.copy(solver.x)
-        solver.x.axpby(1.0 - part, part, start)
+        solver.x.axpby(1.0 - fraction, fraction, start)
         solver.system.impose(solver.blocks())
         return dissipated_energy(problem, *solver.u_and_q())[0]
 
     elastic, damaged = 0.0, 1.0
-    damaged_energy = spent_at(damaged)
+    damaged_energy = move_to(damaged)
     if damaged_energy == 0.0:
         return None
     for _ in range(BISECTIONS):
         if damaged_energy <= energy:
             break
         middle = (elastic + damaged) / 2
-        middle_energy = spent_at(middle)
+        middle_energy = move_to(middle)
         if middle_energy == 0.0:
             elastic = middle
         else:
             damaged, damaged_energy = middle, middle_energy
-    spent_at(damaged)
+    move_to(damaged)
     return path[0] + damaged * (path[1] - path[0])
 
 
 class EnergyControl(MatrixFree):
-    """System of displacement, jumps and, as last unknown, the part of the path of loads.
+    """System of displacement, jumps and, as last unknown, the fraction of the path of loads.
 
-    Its inverse is that of the given system, bordered by one row and one column.
+    It borders the system of the given solver, at a fixed load, by one row and one column.
 
     Args:
         problem: The mechanical problem.
-        solver: Solver of the problem.
-        set_load: Sets the problem to a part of the path.
+        solver: Solver of the problem under given loads.
+        set_load: Sets the problem to a fraction of the path.
     """
 
     prefix = "mantle_energy_"
@@ -131,7 +132,7 @@ class EnergyControl(MatrixFree):
 
     def __init__(self, problem: Problem, solver: Solver, set_load: Callable[[float], None]) -> None:
         self.comm = problem.comm
-        self._problem, self._solver_of_system, self._set_load = problem, solver, set_load
+        self._problem, self._load_solver, self._set_load = problem, solver, set_load
         self._energy = 1.0
         self._load_template = PETSc.Vec().createMPI((int(self.comm.rank == 0), 1), comm=self.comm)
         blocks = self.blocks().values()
@@ -139,64 +140,62 @@ class EnergyControl(MatrixFree):
             sum(sizes) for sizes in zip(*(v.getSizes() for v in blocks), strict=True)
         )
         self.operator = python_mat(self, (local_size, global_size), self.comm)
-        # State of the last residual, with supports at its load. Derivatives in that state: of the
-        # residual by the load, of the energy by the jumps. Solution for the residual by the load.
+        # State of the last residual, with the supports at its load.
         self._state = solver.vector()
+        # Derivatives in that state: b is the solution of J b = dR/ds.
         self._residual_by_load = solver.vector()
         self._energy_by_jump: Floats = np.zeros(0)
-        self._state_by_load = solver.vector()
+        self._b = solver.vector()
         limits = solver.tolerance, ITERATIONS
         self._solver = Solver(self, *limits, "", {}, solver.timing, solver.stop)
 
-    def solve(self, energy: float, part: float) -> tuple[NewtonResult, float]:
+    def solve(self, energy: float, fraction: float) -> tuple[NewtonResult, float]:
         """Solve for the state that dissipates an energy from the last state; collective.
 
         Without convergence the given solver keeps its state.
 
         Args:
             energy: Energy of the step [N mm].
-            part: Part of the path of loads at the state of the given solver.
+            fraction: Fraction of the path of loads at the state of the given solver.
 
         Returns:
-            The outcome, and the part of the path at the end of the step.
+            The outcome, and the fraction of the path at the end of the step.
         """
-        solver_of_system, solver = self._solver_of_system, self._solver
+        load_solver, solver = self._load_solver, self._solver
         self._energy = energy
-        solver.tolerance = solver_of_system.tolerance
+        solver.tolerance = load_solver.tolerance
         solver.residuals, solver.changes = [], []
-        solver.scales = [*solver_of_system.scales, 0.0] if solver_of_system.scales else []
-        if solver_of_system.system.contact:
-            solver_of_system.system.contact.law.scale_augmentation(solver_of_system.augmentation)
+        solver.scales = [*load_solver.scales, 0.0] if load_solver.scales else []
+        if load_solver.system.contact:
+            load_solver.system.contact.law.scale_augmentation(load_solver.augmentation)
         *x, load = solver.blocks()
-        for values, start in zip(x, solver_of_system.blocks(), strict=True):
-            start.copy(values)
-        load.set(part)
+        _copy(load_solver.blocks(), x)
+        load.set(fraction)
         newton, krylov = solver.run()
-        part = self._part_of_path(load)
+        fraction = self._value(load)
         if solver.converged:
-            self._set_load(min(part, 1.0))
-            for values, end in zip(x, solver_of_system.blocks(), strict=True):
-                values.copy(end)
-            solver_of_system.system.impose(solver_of_system.blocks())
+            self._set_load(min(fraction, 1.0))
+            _copy(x, load_solver.blocks())
+            load_solver.system.impose(load_solver.blocks())
             measures = solver.measure(solver.x, solver.snes.getFunction()[0])
-            solver_of_system.scales = [p.scale for p in measures[:-1]]
+            load_solver.scales = [measure.scale for measure in measures[:-1]]
         residuals = tuple(solver.residuals)
-        return NewtonResult(solver.converged, newton, krylov, residuals, (), False), part
+        return NewtonResult(solver.converged, newton, krylov, residuals, (), False), fraction
 
-    def _part_of_path(self, load: PETSc.Vec) -> float:
-        """Part of the path; collective."""
-        return float(self.comm.bcast(load.array_r[0] if self.comm.rank == 0 else None))
+    def _value(self, block: PETSc.Vec) -> float:
+        """Value of a block with one entry, on all ranks; collective."""
+        return float(self.comm.bcast(block.array_r[0] if self.comm.rank == 0 else None))
 
     # As a system
 
     @property
     def version(self) -> int:
         """Number of changes of the matrices."""
-        return self._solver_of_system.system.version
+        return self._load_solver.system.version
 
     def blocks(self) -> dict[str, PETSc.Vec]:
-        """The blocks of the given system, and the part of the path."""
-        return self._solver_of_system.system.blocks() | {"load": self._load_template.duplicate()}
+        """The blocks of the given system, and the fraction of the path."""
+        return self._load_solver.system.blocks() | {"load": self._load_template.duplicate()}
 
     def impose(self, x: list[PETSc.Vec]) -> None:
         """Leave the supports to `residual`: their values depend on the load."""
@@ -206,36 +205,34 @@ class EnergyControl(MatrixFree):
 
         Beyond the end of the path the residual is linear in the load.
         """
-        solver_of_system = self._solver_of_system
-        part = self._part_of_path(x[-1])
-        if not math.isfinite(part):  # see `apply`
-            for of_block in f:
-                of_block.set(math.nan)
+        load_solver = self._load_solver
+        fraction = self._value(x[-1])
+        if not math.isfinite(fraction):  # see `apply`
+            for block in f:
+                block.set(math.nan)
             return
-        on_path = min(part, 1.0)
+        on_path = min(fraction, 1.0)
         h = PATH_STEP if on_path < 0.5 else -PATH_STEP
-        for values, imposed in zip(x[:-1], solver_of_system.blocks(self._state), strict=True):
-            values.copy(imposed)
+        _copy(x[:-1], load_solver.blocks(self._state))
         self._set_load(on_path + h)
-        by_load = solver_of_system.residual(self._state.copy())
+        by_load = load_solver.residual(self._state.copy())
         self._set_load(on_path)
-        r = solver_of_system.residual(self._state)
+        r = load_solver.residual(self._state)
         by_load.axpby(-1 / h, 1 / h, r)
-        r.axpy(part - on_path, by_load)
+        r.axpy(fraction - on_path, by_load)
         by_load.copy(self._residual_by_load)
-        for values, of_block in zip(solver_of_system.blocks(r), f[:-1], strict=True):
-            values.copy(of_block)
+        _copy(load_solver.blocks(r), f[:-1])
         energy, self._energy_by_jump = dissipated_energy(
-            self._problem, *solver_of_system.u_and_q(self._state)
+            self._problem, *load_solver.u_and_q(self._state)
         )
         f[-1].set(energy - self._energy)
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Sizes of the residuals of the given system, and of the energy [N mm]."""
-        solver_of_system = self._solver_of_system
-        measures = solver_of_system.system.measure(solver_of_system.blocks(self._state), f[:-1])
+        load_solver = self._load_solver
+        measures = load_solver.system.measure(load_solver.blocks(self._state), f[:-1])
         # The energy has converged at `ENERGY_TOLERANCE`, for any tolerance of forces.
-        scale = self._energy * ENERGY_TOLERANCE / solver_of_system.tolerance
+        scale = self._energy * ENERGY_TOLERANCE / load_solver.tolerance
         return [*measures, Measure(float(f[-1].norm()), scale, 0.0, lasting=False)]
 
     # As operator and inverse of PETSc
@@ -244,28 +241,25 @@ class EnergyControl(MatrixFree):
         """Apply the Jacobian to x, into y."""
         *change, load = x.getNestSubVecs()
         *forces, energy = y.getNestSubVecs()
-        solver_of_system = self._solver_of_system
-        a = self._solver_of_system.vector()
-        r = self._solver_of_system.vector()
-        for values, of_block in zip(change, solver_of_system.blocks(a), strict=True):
-            values.copy(of_block)
-        solver_of_system.linear.matrix.mult(a, r)
-        r.axpy(self._part_of_path(load), self._residual_by_load)
-        for values, of_block in zip(solver_of_system.blocks(r), forces, strict=True):
-            values.copy(of_block)
+        load_solver = self._load_solver
+        a, r = load_solver.vector(), load_solver.vector()
+        _copy(change, load_solver.blocks(a))
+        load_solver.linear.matrix.mult(a, r)
+        r.axpy(self._value(load), self._residual_by_load)
+        _copy(load_solver.blocks(r), forces)
         energy.set(self._energy_change(a))
 
     def renew(self) -> None:
         """Do nothing: the solver of the given system renews its inverse."""
 
     def setUp(self, pc: PETSc.PC) -> None:
-        """Set the Jacobian at the state of the last residual; solve for a unit of the load."""
-        solver_of_system = self._solver_of_system
-        solver_of_system.linear.update(solver_of_system.blocks(self._state))
-        ksp = solver_of_system.snes.getKSP()
-        ksp.setOperators(solver_of_system.linear.matrix)
+        """Set the Jacobian at the state of the last residual; solve J b = dR/ds."""
+        load_solver = self._load_solver
+        load_solver.linear.update(load_solver.blocks(self._state))
+        ksp = load_solver.snes.getKSP()
+        ksp.setOperators(load_solver.linear.matrix)
         ksp.setTolerances(rtol=LINEAR_TOLERANCE, atol=0.0)
-        ksp.solve(self._residual_by_load, self._state_by_load)
+        ksp.solve(self._residual_by_load, self._b)
 
     def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
         """Apply the inverse of the Jacobian to r, into z.
@@ -274,21 +268,24 @@ class EnergyControl(MatrixFree):
         """
         *forces, energy = r.getNestSubVecs()
         *change, load = z.getNestSubVecs()
-        solver_of_system = self._solver_of_system
-        residual = self._solver_of_system.vector()
-        a = self._solver_of_system.vector()
-        for values, of_block in zip(forces, solver_of_system.blocks(residual), strict=True):
-            values.copy(of_block)
-        solver_of_system.snes.getKSP().solve(residual, a)
-        by_load = self._energy_change(self._state_by_load)
-        energy_deficit = self._energy_change(a) - self._part_of_path(energy)
+        load_solver = self._load_solver
+        residual, a = load_solver.vector(), load_solver.vector()
+        _copy(forces, load_solver.blocks(residual))
+        load_solver.snes.getKSP().solve(residual, a)
+        by_load = self._energy_change(self._b)
+        energy_deficit = self._energy_change(a) - self._value(energy)
         step = energy_deficit / by_load if by_load else math.nan
-        a.axpy(-step, self._state_by_load)
-        for values, of_block in zip(solver_of_system.blocks(a), change, strict=True):
-            values.copy(of_block)
+        a.axpy(-step, self._b)
+        _copy(load_solver.blocks(a), change)
         load.set(step)
 
     def _energy_change(self, x: PETSc.Vec) -> float:
         """Change of the energy by a change of the state; collective."""
-        jump = self._solver_of_system.blocks_by_name(x)["jump"].array_r
+        jump = self._load_solver.blocks_by_name(x)["jump"].array_r
         return float(self.comm.allreduce(float(self._energy_by_jump @ jump)))
+
+
+def _copy(source: Sequence[PETSc.Vec], target: Sequence[PETSc.Vec]) -> None:
+    """Copy blocks into others."""
+    for block, target_block in zip(source, target, strict=True):
+        block.copy(target_block)

@@ -25,7 +25,7 @@ from app.scene.scene import Scene
 from app.stepping.coupled_system import CoupledSystem
 from app.stepping.load_steps import Effort
 
-# First step of a stage, as a part of an increment, if the rate of change is unknown.
+# First step of a stage, as a fraction of an increment, if the rate of change is unknown.
 FIRST_STEP = 1e-3
 # Relative difference up to which times count as equal.
 SAME_TIME = 1e-9
@@ -54,7 +54,7 @@ class HeatState:
     """Temperatures, jumps and degrees of cure in time.
 
     Attributes:
-        step: One implicit solve of heat.
+        step: The system of heat, for one implicit solve at a time.
         operators: Operators of heat.
         solver: Solver of heat, or of heat and mechanics.
         coupled: Heat and mechanics in one system, if heat depends on contact.
@@ -101,6 +101,11 @@ class HeatState:
         named = self.solver.blocks_by_name()
         return [named[n] for n in ("temperature", "temperature_jump") if n in named]
 
+    @property
+    def _block_count(self) -> int:
+        """Number of blocks of temperatures: the first parts of a state. Degrees of cure follow."""
+        return len(self.vectors())
+
     def _state(self, x: Sequence[PETSc.Vec]) -> State:
         return [*(v.array.copy() for v in x), *(a.copy() for a in self.step.degrees(x))]
 
@@ -116,17 +121,17 @@ class HeatState:
 
         An error of the degree of cure counts as the temperature rise that it releases.
         """
-        n = len(self.vectors())
+        n = self._block_count
         errors = list(error[:n])
-        for degree, e, node in zip(self.state[n:], error[n:], self._curing, strict=False):
-            errors.append(error_as_temperature(degree, e, node.adiabatic_rise))
+        for degree, e, nodes in zip(self.state[n:], error[n:], self._curing, strict=False):
+            errors.append(error_as_temperature(degree, e, nodes.adiabatic_rise))
         local = max(float(np.abs(e).max(initial=0.0)) for e in errors)
         return float(self.operators.comm.allreduce(local, MPI.MAX)) / self.options.tolerance
 
     def _solve(self, start: State, h: float, seconds: float, guess: State) -> State | None:
         """Solve a stage; None if it fails. With mechanics, states end with the friction work."""
-        n, parts, coupled = len(self.vectors()), len(self.state), self.coupled
-        if not self.step.begin(start[:n], start[n:parts], h, seconds):
+        blocks, parts, coupled = self._block_count, len(self.state), self.coupled
+        if not self.step.begin(start[:blocks], start[blocks:parts], h, seconds):
             return None
         self.set_solver_state(guess)
         if coupled is not None:
@@ -138,13 +143,13 @@ class HeatState:
         if not self.outcome.converged:
             return None
         self._flows_of_stages.append(self.step.flows(self.vectors()))
-        friction_work = [coupled.exchange.friction_work] if coupled is not None else []
+        friction_work = [coupled.contact_heat.friction_work] if coupled is not None else []
         return [*self._state(self.vectors()), *friction_work]
 
     def _with_work(self, state: State) -> State:
         """Return a state, with zero friction work as last part if mechanics is coupled."""
         coupled = self.coupled
-        return [*state, *([coupled.exchange.zero_work()] if coupled is not None else [])]
+        return [*state, coupled.contact_heat.zero_work()] if coupled is not None else state
 
     def start(self, longest: float) -> float:
         """Set the rate of change at the start of a stage; return its first step [s].
@@ -177,10 +182,10 @@ class HeatState:
                 self._flows_of_stages = []
                 solution = integrator.step(method, state, slope, dt, self.seconds, self._solve)
                 T = self.operators.nodal(self.vectors())
-                is_within_bounds = solution is None or not principle.is_violated(T)
-                if is_within_bounds or not principle.correct(T):
+                is_violated = solution is not None and principle.is_violated(T)
+                if not is_violated or not principle.correct(T):
                     break
-            if is_within_bounds and (solution is not None or not fixed):
+            if not is_violated and (solution is not None or not fixed):
                 break
         return (solution, method) if solution is not None else None
 
@@ -233,13 +238,13 @@ class HeatState:
 
     def degrees(self) -> dict[str, Floats]:
         """Degrees of cure of owned nodes of each curing region."""
-        n = len(self.vectors())
-        return {c.region: a for c, a in zip(self._curing, self.state[n:], strict=True)}
+        degrees = self.state[self._block_count :]
+        return {c.region: degree for c, degree in zip(self._curing, degrees, strict=True)}
 
     def rates(self) -> dict[str, Floats]:
         """Rates of cure of owned nodes of each curing region [1/s]."""
-        n = len(self.vectors())
-        return {c.region: a for c, a in zip(self._curing, self.slope[n:], strict=True)}
+        rates = self.slope[self._block_count :]
+        return {c.region: rate for c, rate in zip(self._curing, rates, strict=True)}
 
     def _nodal(self, state: State) -> Floats:
         """Temperatures of owned nodes of each body in a state (b, n) [K]."""

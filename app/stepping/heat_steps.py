@@ -20,7 +20,7 @@ from app.stepping.heat_state import HeatState, HeatStep
 from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
 from app.stepping.load_steps import Effort, LoadStep
 
-# Least time step, as a part of its stage.
+# Shortest time step, as a fraction of its stage.
 SHORTEST_STEP = 1e-10
 
 Mechanics = SolvedAfterHeat | SolvedWithHeat
@@ -80,11 +80,9 @@ class HeatStepper:
             inside = [e - self.stage_start - n * length for e in self.heating.events]
             step_ends = [0.0, *(e for e in inside if tiny < e < length - tiny), length]
             for a, b in pairwise(step_ends):
-                parts_of_stage = (
-                    (n + a / length) / stage.increments,
-                    (n + b / length) / stage.increments,
-                )
-                steps.append(Step(*parts_of_stage, b - a, b == length))
+                begin = (n + a / length) / stage.increments
+                end = (n + b / length) / stage.increments
+                steps.append(Step(begin, end, b - a, ends_increment=b == length))
         return steps
 
     # Steps
@@ -179,14 +177,14 @@ class StepsByError:
         return not self._heating.seconds < self._ends[-1] - self._tiny
 
     def propose(self) -> Step:
-        """Return the next step, as parts of the stage, with its length [s]."""
+        """Return the next step: its ends as fractions of the stage, its length in seconds."""
         seconds = self._heating.seconds
         length = self._controller.propose(seconds)
         end = seconds + length
         ends_increment = min(abs(end - e) for e in self._ends) < self._tiny
-        done_part = min((seconds - self._begin) / self._stage.seconds, 1.0)
-        reach = min((end - self._begin) / self._stage.seconds, 1.0)
-        return Step(done_part, reach, length, ends_increment)
+        begin_fraction = min((seconds - self._begin) / self._stage.seconds, 1.0)
+        end_fraction = min((end - self._begin) / self._stage.seconds, 1.0)
+        return Step(begin_fraction, end_fraction, length, ends_increment)
 
     def judge(self, step: Step, error: float) -> bool:
         """Accept a step within its tolerance."""

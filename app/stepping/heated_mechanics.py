@@ -1,6 +1,6 @@
 """Mechanics with heat: solved after the heat, or in one system with it.
 
-The heat loads the mechanics by temperatures, degrees of cure and the free strain of cement.
+Heat acts on the mechanics by temperatures, degrees of cure and the free strain of cement.
 """
 
 from __future__ import annotations
@@ -48,6 +48,10 @@ class HeatedMechanics:
     Between two states of the heat the load changes linearly. A step is at most
     ``time.mechanical_step``: a change of temperature, or the adiabatic temperature rise by a change
     of cure.
+
+    Attributes:
+        strains: Free strain of each curing region so far.
+        previous: Thermal state at the last solve of the mechanics.
     """
 
     saved: tuple[str, ...] = ("strains", "previous")
@@ -59,7 +63,7 @@ class HeatedMechanics:
         self._limit = heating.options.mechanical_step
         self._curing = operators.cure.nodes if operators.cure else []
         self._temperatures = [fem.Function(operators.forms.space) for _ in operators.bodies.names]
-        # Degrees of cure; free strain so far; free strain applied to the mechanics.
+        # The applied strains are between those of two thermal states.
         self._degrees, self.strains, self._applied_strains = (
             [fem.Function(operators.forms.space) for _ in self._curing] for _ in range(3)
         )
@@ -68,8 +72,8 @@ class HeatedMechanics:
             free_strain(operators.comm, cure, expansion.get(cure.region, 0.0), len(c.dof))
             for cure, c in zip(operators.scene.cures, self._curing, strict=True)
         ]
-        self._last: ThermalState | None = None
-        self.previous = self._current_state()
+        self._last_update: ThermalState | None = None
+        self.previous = self._update_state()
         self._apply(self.previous, self.previous, 1.0)
 
     @cached_property
@@ -79,15 +83,15 @@ class HeatedMechanics:
 
     def restored(self) -> None:
         """Load the mechanics with the thermal state of their last solve; collective."""
-        self._last = None
-        self._current_state()
+        self._last_update = None
+        self._update_state()
         self._apply(self.previous, self.previous, 1.0)
         problem = self._load_stepper.problem
         if problem.stress_history:
             problem.stress_history.begin_at(problem.displacements())
 
-    def _current_state(self) -> ThermalState:
-        """State of the heat; adds the free strain since the last state; collective."""
+    def _update_state(self) -> ThermalState:
+        """Follow the heat, add the free strain since then, return the new state; collective."""
         degrees = list(self._heating.degrees().values())
         T = self._heating.temperatures()
         for b, f in enumerate(self._temperatures):
@@ -96,26 +100,29 @@ class HeatedMechanics:
         for f, c, values in zip(self._degrees, self._curing, degrees, strict=True):
             f.x.array[c.dof] = values
             f.x.scatter_forward()
-        last_state = self._last
-        if last_state is not None:
+        last_update = self._last_update
+        if last_update is not None:
             for k, c in enumerate(self._curing):
                 self.strains[k].x.array[c.dof] += self._strain_increments[k](
-                    a_old=last_state.degrees[k][c.dof],
-                    T_old=last_state.temperatures[c.body][c.dof],
+                    a_old=last_update.degrees[k][c.dof],
+                    T_old=last_update.temperatures[c.body][c.dof],
                     a=degrees[k],
                     T=self._temperatures[c.body].x.array[c.dof],
                 )[0]
                 self.strains[k].x.scatter_forward()
-        self._last = ThermalState(
+        self._last_update = ThermalState(
             *(
                 [f.x.array.copy() for f in functions]
                 for functions in (self._temperatures, self._degrees, self.strains)
             )
         )
-        return self._last
+        return self._last_update
 
     def _largest_change(self, current_state: ThermalState) -> float:
-        """Largest change since the last solve [K]; cure counts by its heat; collective."""
+        """Largest change since the mechanics were last solved [K]; collective.
+
+        A change of cure counts as its adiabatic temperature rise.
+        """
         previous_state = self.previous
         pairs = zip(previous_state.temperatures, current_state.temperatures, strict=True)
         # A rank without cells has no values.
@@ -153,9 +160,8 @@ class HeatedMechanics:
             f.x.array[:] = (1 - s) * x + s * y
         for k, cure in enumerate(scene.cures):
             gelled_share = share_since_gelation(cure.gel, a.degrees[k], b.degrees[k], s)
-            self._applied_strains[k].x.array[:] = (1 - gelled_share) * a.strains[
-                k
-            ] + gelled_share * b.strains[k]
+            strain = (1 - gelled_share) * a.strains[k] + gelled_share * b.strains[k]
+            self._applied_strains[k].x.array[:] = strain
         body = self._operators.bodies.of_region
         problem.set_temperature(
             {x.region: self._temperatures[body[x.region]] for x in scene.expansions}
@@ -183,11 +189,11 @@ class SolvedAfterHeat(HeatedMechanics):
         """Begin a stage that takes time, or continue it after a restart."""
         self._stage = stage
         if is_new:
-            self.time, self.previous = float(k), self._current_state()
+            self.time, self.previous = float(k), self._update_state()
 
     def follow(self, time: float, ends_increment: bool) -> None:
         """Solve at the end of an increment, or after a large change."""
-        current_state = self._current_state()
+        current_state = self._update_state()
         if ends_increment or self._largest_change(current_state) >= self._limit:
             self._advance(current_state, self.time, time)
             self.time = time
@@ -216,9 +222,9 @@ class SolvedWithHeat(HeatedMechanics):
     def follow(self, time: float, ends_increment: bool) -> None:
         """Commit the mechanics of a heat step."""
         started = clock.perf_counter()
-        heating, current_state = self._heating, self._current_state()
+        heating, current_state = self._heating, self._update_state()
         self._system.commit(heating.solver.blocks())
-        self._system.exchange.report((heating.seconds - self.committed_at) or np.inf)
+        self._system.contact_heat.report((heating.seconds - self.committed_at) or np.inf)
         self.committed_at = heating.seconds
         if self._load_stepper.problem.stress_history:
             # The step used the stiffness and free strain of its start, an error of first order.

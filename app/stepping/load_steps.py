@@ -64,7 +64,15 @@ class LoadStep:
 
 @dataclass
 class Effort:
-    """Counts of steps and iterations of a run so far."""
+    """Counts of a run so far.
+
+    Attributes:
+        steps: Committed steps.
+        newton_iterations: Newton iterations, failed attempts included.
+        linear_iterations: Iterations of the linear solver, failed attempts included.
+        rejected: Attempts that were not committed.
+        augmentation: Factor on the augmentation in the last step; in a sum, the smallest one.
+    """
 
     steps: int = 0
     newton_iterations: int = 0
@@ -95,8 +103,9 @@ class LoadProgress(Progress):
 
     Attributes:
         energy: Fracture energy of the next step [N mm]; 0 if its loads are given.
-        reached: Largest part of the path so far.
-        handed_over_at: Last part of the path at which no step of given energy converged.
+        reached: Largest fraction of the path so far.
+        handed_over_at: Fraction of the path at which steps of given loads last took over because no
+            step of given energy converged; -1 if they never did.
     """
 
     energy: float = 0.0
@@ -150,13 +159,14 @@ class LoadStepper:
 
     def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
         """Take load steps through a stage without time, except its creep."""
-        increment, end = 1.0 / (stage.increments * stage.load_segments), k + stage.loaded
+        end = k + stage.loaded
+        increment = 1.0 / (stage.increments * stage.load_segments)
         increment /= self.problem.scene.rotation_substeps(k, increment)
         if not self.progress.step:
             self.progress = LoadProgress(increment)
 
-        def set_load(s: float) -> None:
-            self.problem.set_time(k + s * stage.loaded)
+        def set_load(fraction: float) -> None:
+            self.problem.set_time(k + fraction * stage.loaded)
 
         self.run_path(stage, increment, set_load, k, end, self.progress, checkpoint_point)
         self.progress = LoadProgress()
@@ -175,8 +185,8 @@ class LoadStepper:
 
         Args:
             stage: The stage, which limits cut-backs.
-            increment: Largest step, as a part of the path.
-            set_load: Sets the problem to a part of the path, 0 to 1.
+            increment: Largest step, as a fraction of the path.
+            set_load: Sets the problem to a fraction of the path, 0 to 1.
             begin: Time at the start of the path.
             end: Time at its end.
             progress: Progress so far; kept up to date.
@@ -214,8 +224,8 @@ class LoadStepper:
         problem = self.problem
         u, q = self.solver.u_and_q()
         trial = problem.trial(u, q) if q is not None else None
-        part = 100 * (time - int(time)) or 100
-        location = f"stage '{stage.name}' at {part:.3g} % of it"
+        percent = 100 * (time - int(time)) or 100
+        location = f"stage '{stage.name}' at {percent:.3g} % of it"
         if trial is not None:
             verdict = (
                 held_by_facets(problem, trial)
@@ -226,8 +236,8 @@ class LoadStepper:
                 raise ConvergenceError(replace(verdict, where=location))
         problem.update_displacements(u, q)
         problem.commit(trial)
-        for p in self.predictors:
-            p.commit(time)
+        for predictor in self.predictors:
+            predictor.commit(time)
         self.total.steps += 1
         self.total.augmentation = outcome.augmentation
         seconds = clock.perf_counter() - started
@@ -248,9 +258,9 @@ class LoadPath:
     begin: float
     end: float
 
-    def time(self, part: float) -> float:
-        """Return the time at a part of the path."""
-        return self.begin + part * (self.end - self.begin)
+    def time(self, fraction: float) -> float:
+        """Return the time at a fraction of the path."""
+        return self.begin + fraction * (self.end - self.begin)
 
 
 class GivenLoads:
@@ -258,8 +268,8 @@ class GivenLoads:
 
     Attributes:
         start: State at the beginning of the step.
-        energy_start: Part of the path of a state beyond the onset of damage, from which steps of
-            given energy begin; None if there is none.
+        energy_start: Fraction of the path at a state beyond the onset of damage, from which steps
+            of given energy begin; None if there is no such state.
     """
 
     def __init__(self, stepper: LoadStepper, path: LoadPath, progress: LoadProgress) -> None:
@@ -268,7 +278,9 @@ class GivenLoads:
         self.energy_start: float | None = None
         self.start = self._solver.x.copy()
         self._uses_predictors = True
+        self._is_predicted = False
         self._halved_lengths: list[float] = []
+        self._outcome: NewtonResult
 
     # Control
 
@@ -304,9 +316,9 @@ class GivenLoads:
         if problem.sliding:
             problem.sliding.set_committed(*solver.u_and_q())
         predictors = self._stepper.predictors if self._uses_predictors else ()
-        for p in predictors:
-            p.predict(self._path.time(step.end))
-        self._predicted = bool(predictors) and not are_equal(self.start, solver.x)
+        for predictor in predictors:
+            predictor.predict(self._path.time(step.end))
+        self._is_predicted = bool(predictors) and not are_equal(self.start, solver.x)
         self._outcome = self._stepper.solve()
         if not self._outcome.converged:
             return math.inf
@@ -319,7 +331,7 @@ class GivenLoads:
         return float(self._outcome.iterations)
 
     def refuse(self, step: Step) -> None:
-        """Choose the next attempt: by energy if an interface breaks, not predicted, or halved.
+        """Choose the next attempt: by energy if an interface breaks, without prediction, or halved.
 
         Raises:
             ConvergenceError: The step cannot or may not be halved.
@@ -328,22 +340,13 @@ class GivenLoads:
         stage, set_load = self._path.stage, self._path.set_load
         self._stepper.total.rejected += 1
         self.start.copy(solver.x)
-        if stage.fracture_step is not None:
-            solver.augmentation = 1.0  # a smaller step may not need the larger augmentation
-            path_of_step = step.begin, step.end
-            self.energy_start = start_beyond_onset(
-                problem, solver, stage.fracture_step, path_of_step, set_load
-            )
-            if self.energy_start is not None:
-                progress.energy = stage.fracture_step
-                self._reset()
-                return
-            self.start.copy(solver.x)
+        if stage.fracture_step is not None and self._continues_by_energy(stage.fracture_step, step):
+            return
         self._uses_predictors = False
         # From rest and without gaps, smaller steps fail in the same way.
         fails_alike = not self.start.norm() and is_proportional(solver, set_load, step.end)
         explanation = explain(problem, solver, self._outcome, fails_alike)
-        if self._predicted:
+        if self._is_predicted:
             self._stepper.on_trouble(f"{explanation.cause.what}; repeating without extrapolation")
             return
         # If a body is free, halving hardly helps: it is tried once.
@@ -357,15 +360,29 @@ class GivenLoads:
         remedy_text = f"step halved to {progress.step:.4g} of stage '{stage.name}'"
         self._stepper.on_trouble(f"{explanation.cause.what}; {remedy_text}")
 
+    def _continues_by_energy(self, energy: float, step: Step) -> bool:
+        """Return True if an interface breaks in a step: steps of given energy [N mm] take over."""
+        problem, solver, set_load = self._problem, self._solver, self._path.set_load
+        solver.augmentation = 1.0  # a smaller step may not need the larger augmentation
+        ends = step.begin, step.end
+        self.energy_start = start_beyond_onset(problem, solver, energy, ends, set_load)
+        if self.energy_start is None:
+            self.start.copy(solver.x)
+            return False
+        self.progress.energy = energy
+        self._begin_next_step()
+        return True
+
     def commit(self, step: Step, started: float) -> None:
         """Commit the step last tried; collective."""
         path = self._path
-        self._reset()
+        self._begin_next_step()
         time = path.time(step.end)
         self._stepper.commit(path.stage, time, self._outcome, started, step.ends_increment)
 
-    def _reset(self) -> None:
-        self._uses_predictors, self._halved_lengths = True, []
+    def _begin_next_step(self) -> None:
+        self._uses_predictors = True
+        self._halved_lengths = []
 
 
 class GivenEnergy:
@@ -420,7 +437,7 @@ class GivenEnergy:
         """Halve the energy, or continue with steps of given loads; collective.
 
         Raises:
-            ConvergenceError: Steps of given loads have already failed at this part of the path.
+            ConvergenceError: Steps of given loads have already failed at this fraction of the path.
         """
         progress, stage = self.progress, self._path.stage
         self._start.copy(self._solver.x)
@@ -441,23 +458,23 @@ class GivenEnergy:
             f"reached {100 * max(progress.reached, progress.done):.3g} % of the stage"
         )
         location = f"stage '{stage.name}' at {100 * progress.done:.3g} % of it"
-        cure = (
+        remedy = (
             "use a shorter `fracture_step` or a finer mesh; if the interface is broken, reduce the "
             "load"
         )
-        raise ConvergenceError(Verdict(message, location, cure))
+        raise ConvergenceError(Verdict(message, location, remedy))
 
     def commit(self, step: Step, started: float) -> None:
         """Commit the step last tried; collective."""
         progress, increment, reached = self.progress, self._path.increment, self._reached
-        reached_an_increment = reached - progress.done >= increment
+        spans_increment = reached - progress.done >= increment
         ends_increment = math.floor(reached / increment) > math.floor(progress.done / increment)
-        progress.done, progress.reached = reached, max(progress.reached, reached)
-        progress.energy = (
-            0.0 if reached_an_increment else min(2 * step.length, self._largest_energy)
-        )
-        if reached_an_increment:
-            progress.step = increment
+        progress.done = reached
+        progress.reached = max(progress.reached, reached)
+        if spans_increment:
+            progress.energy, progress.step = 0.0, increment
+        else:
+            progress.energy = min(2 * step.length, self._largest_energy)
         self.begin(self._solver.x.copy(), None)
         time = self._path.time(reached)
         self._stepper.commit(self._path.stage, time, self._outcome, started, ends_increment)

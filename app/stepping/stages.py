@@ -39,7 +39,7 @@ class StageStepper(Protocol):
         """Step through stage k, or the rest of it after a restart; collective."""
 
 
-def _nothing(*_: Any) -> None:
+def _ignore(*_: Any) -> None:
     """Ignore the arguments."""
 
 
@@ -63,8 +63,8 @@ class Steppers:
     def run(
         self,
         stages: Sequence[Stage],
-        before_stage: Callable[[Stage], None] = _nothing,
-        checkpoint_point: Callable[[int], None] = _nothing,
+        before_stage: Callable[[Stage], None] = _ignore,
+        checkpoint_point: Callable[[int], None] = _ignore,
         first: int = 0,
     ) -> Effort:
         """Solve stages, from the first or a restored one on; collective.
@@ -89,9 +89,9 @@ class Steppers:
             if stepper is not None:
                 stepper.run_stage(k, stage, partial(checkpoint_point, k))
         total = Effort()
-        for part in (self.load, self.heat):
-            if part is not None:
-                total.add(part.total)
+        for stepper_with_counts in (self.load, self.heat):
+            if stepper_with_counts is not None:
+                total.add(stepper_with_counts.total)
         return total
 
     def _stepper_of(self, stage: Stage) -> StageStepper | None:
@@ -120,8 +120,8 @@ class Analysis:
 
     def load_stepper(
         self,
-        on_step: OnStep = _nothing,
-        on_trouble: Callable[[str], None] = _nothing,
+        on_step: OnStep = _ignore,
+        on_trouble: Callable[[str], None] = _ignore,
         predictors: tuple[Predictor, ...] = (),
     ) -> LoadStepper | None:
         """Make a stepper of loads; None without mechanics. Arguments: see `steppers`."""
@@ -131,9 +131,9 @@ class Analysis:
 
     def steppers(
         self,
-        on_step: OnStep = _nothing,
-        on_heat: OnHeat = _nothing,
-        on_trouble: Callable[[str], None] = _nothing,
+        on_step: OnStep = _ignore,
+        on_heat: OnHeat = _ignore,
+        on_trouble: Callable[[str], None] = _ignore,
         predictors: tuple[Predictor, ...] = (),
     ) -> Steppers:
         """Make the steppers; collective.
@@ -144,9 +144,9 @@ class Analysis:
             on_trouble: Called with the remedy tried when a step fails.
             predictors: Predictors in addition to extrapolation.
         """
-        load, heat, creep = self.load_stepper(on_step, on_trouble, predictors), None, None
-        if load is not None and load.problem.creep:
-            creep = CreepStepper(load)
+        load = self.load_stepper(on_step, on_trouble, predictors)
+        creep = CreepStepper(load) if load is not None and load.problem.creep else None
+        heat = None
         heating = self.heating
         if heating is not None:
             mechanics: SolvedAfterHeat | SolvedWithHeat | None = None
@@ -159,9 +159,9 @@ class Analysis:
 
     def run(
         self,
-        on_step: OnStep = _nothing,
-        on_heat: OnHeat = _nothing,
-        on_trouble: Callable[[str], None] = _nothing,
+        on_step: OnStep = _ignore,
+        on_heat: OnHeat = _ignore,
+        on_trouble: Callable[[str], None] = _ignore,
     ) -> Effort:
         """Solve all stages; collective. Arguments: see `steppers`.
 
@@ -181,7 +181,7 @@ class SolverSettings:
         linear: Linear solver: auto, direct, multigrid or condensed.
         petsc: Raw PETSc options.
         augmentation_factor: Augmentation over the local stiffness per area at a point.
-        solves: Expected number of contact solves, by which `auto` chooses; 0: it does not condense.
+        solves: Expected number of contact solves, by which `auto` chooses; 0 never condenses.
         memory: Memory of a rank [byte], by which `auto` chooses.
         stop: Returns the name of a pending stop signal, or "".
     """
@@ -193,7 +193,7 @@ class SolverSettings:
     augmentation_factor: float = DEFAULT_AUGMENTATION
     solves: float = 1.0
     memory: float = math.inf
-    stop: Callable[[], str] = str
+    stop: Callable[[], str] = str  # str() is the empty string: no signal
 
 
 def assemble(
@@ -218,7 +218,8 @@ def assemble(
     Raises:
         InputError: The scene does not fit the mesh.
     """
-    settings, timing = settings or SolverSettings(), timing or Timing()
+    settings = settings or SolverSettings()
+    timing = timing or Timing()
 
     def solver_of(system: System) -> Solver:
         limits = settings.tolerance, settings.max_iterations
