@@ -46,15 +46,15 @@ def shape_functions(barycentric: Floats, nodes: int) -> Floats:
 
 
 def bends(start: Floats, end: Floats, middle: Floats) -> Floats:
-    r"""Part of the difference of its ends in the displacement of the middle of a curved edge.
+    r"""Factors by which the ends of curved edges move their middles, in addition to the mean.
 
-    The middle is off the chord by σ, along which linear displacements change too. With t the unit
-    vector from end a to end b and L their distance,
+    The middle is off the chord by the vector σ. Linear displacements change along σ too. With t the
+    unit vector from end a to end b and L their distance, the displacement of the middle
 
     .. math:: u_m = (u_a + u_b) / 2 + (σ ⊗ t - t ⊗ σ) (u_b - u_a) / L
 
-    is exact for translations, for rotations and for a widening in the plane of the edge. Returned
-    are the factors (e, 3, 3) of the difference.
+    is exact for translations, for rotations and for a widening in the plane of the edge. The result
+    (e, 3, 3) is the factor of the difference u_b - u_a.
     """
     offset, chord = middle - (start + end) / 2, end - start
     outer_products = np.einsum("ei,ej->eij", offset, chord)
@@ -66,7 +66,8 @@ def foot(x: Floats, corners: Floats) -> Floats:
     """Barycentric coordinates (n, 3) of the point of each triangle nearest to x (n, 3)."""
     edges, offsets = np.roll(corners, -1, axis=1) - corners, x[:, None] - corners
     fractions = np.einsum("nki,nki->nk", offsets, edges) / np.einsum("nki,nki->nk", edges, edges)
-    # The foot of the perpendicular, if it is inside, by products of two edges and the way to x.
+    # The foot of the perpendicular, if it is inside, from products of the edges a and b and of d,
+    # which is from their common vertex to x.
     a, b, d = edges[:, 0], -edges[:, 2], offsets[:, 0]
     aa, ab, bb, da, db = (
         np.einsum("ni,ni->n", p, q) for p, q in ((a, a), (a, b), (b, b), (d, a), (d, b))

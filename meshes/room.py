@@ -1,13 +1,12 @@
 """Room for cement around a stem, in any position: its distance from the widest possible canal.
 
 The canal is known in sections that are fixed to the bone: those of a stem along the shaft's axis,
-turned to the neck. Its signed distance is kept on a grid, so that a position takes a millisecond:
-the page of `mantle place` interpolates the same numbers, and the search for a position
-(`best_position`) too.
+turned to the neck. Its signed distance is kept on a grid, so that a position takes a millisecond.
+The page of `mantle place` and the search for a position (`best_position`) interpolate on this grid.
 
-Cement is within a distance from the stem and within the canal. Its thickness at a point of the stem
-is therefore the lesser of the thickness that is asked for and the room there. A stem without cement
-may reach into the cortex: its canal is then what leaves the least cortex.
+Cement fills the canal up to a given distance from the stem. Its thickness at a point of the stem is
+therefore the given one or the room there, whichever is less. A stem without cement may reach into
+the cortex: its canal is then the one that leaves the least cortex allowed.
 """
 
 from __future__ import annotations
@@ -152,7 +151,7 @@ class StemSurface:
         implant: The stem.
         start: Points where its lines along the body begin, at the end of its flanks (m, 3) [mm].
         direction: Change of these lines for each millimetre along the axis (m, 3).
-        points: Points in sections of a stem from a file (n, m, 3) [mm]; None: a parametric stem.
+        points: Points in sections of a stem from a file (n, m, 3) [mm]; None for a parametric stem.
     """
 
     implant: Implant
@@ -162,7 +161,7 @@ class StemSurface:
 
     @classmethod
     def of(cls, implant: Implant, placement: Placement, around: int = STEM_AROUND) -> StemSurface:
-        """The surface of a stem; of a file in sections of this placement."""
+        """The surface of a stem. The sections of a stem from a file are those of the placement."""
         low = implant.tip_z + implant.tip_height
         turns = np.arange(around) / around
         if implant.cad is None:

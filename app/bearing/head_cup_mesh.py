@@ -55,7 +55,7 @@ def _head(geometry: HeadCup, mesh: MeshKeys) -> Body:
     """A ball about the origin with a conical bore that opens towards -z."""
     head_radius, bore_radius = geometry.head_radius, geometry.bore_diameter / 2
     narrowing, depth = math.tan(geometry.bore_taper), geometry.bore_depth
-    # From below the ball, so that the cone meets it in one circle.
+    # The bore begins below the ball, so that the cone meets the ball in one circle.
     extra_depth = head_radius - math.sqrt(head_radius**2 - bore_radius**2) + 0.1 * head_radius
     start_radius = bore_radius + extra_depth * narrowing
     end_radius = bore_radius - depth * narrowing
@@ -82,8 +82,9 @@ def _cup(radii: tuple[float, ...], level: float, mesh: MeshKeys) -> Body:
         _, pieces = occ.fragment(layers[-1:], [*layers[:-1], hollow])
         occ.remove(pieces[-1])
         points, cells, volume = _meshed(gmsh, radii[0], mesh.size, mesh)
-    containing_spheres = [sum((3, v) in part for part in pieces) for v in range(volume.max() + 1)]
-    return points, cells, len(layers) - np.array(containing_spheres)[volume]
+    # Number of spheres that contain each volume of gmsh; the outermost layer is in one.
+    sphere_count = [sum((3, v) in part for part in pieces) for v in range(volume.max() + 1)]
+    return points, cells, len(layers) - np.array(sphere_count)[volume]
 
 
 def _meshed(gmsh: ModuleType, radius: float, size: float, mesh: MeshKeys) -> Body:

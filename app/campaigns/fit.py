@@ -86,10 +86,11 @@ class Evaluations:
         self._by_values: dict[tuple[object, ...], FitRun] = {}
         self._short = [*short_keys(list(problem.fit.keys)).values()]
 
-    def step(self, shares: Floats) -> FitRun:
+    def step(self, fractions: Floats) -> FitRun:
         """Return the run with keys at fractions (keys,) of their ranges; make it if it is new."""
+        # Names with a comma are those of runs for derivatives.
         steps = sum(run.name.startswith("step") and "," not in run.name for run in self.runs)
-        (run,) = self({f"step {steps + 1}": np.clip(shares, 0.0, 1.0)})
+        (run,) = self({f"step {steps + 1}": np.clip(fractions, 0.0, 1.0)})
         return run
 
     @property
@@ -104,8 +105,8 @@ class Evaluations:
             _RunsUsed: There would be more than `FitSearch.runs`.
         """
         values = {name: self.problem.values(fractions) for name, fractions in requested.items()}
-        identities = {name: tuple(key_values.values()) for name, key_values in values.items()}
-        new_names = {id: name for name, id in identities.items() if id not in self._by_values}
+        points = {name: tuple(key_values.values()) for name, key_values in values.items()}
+        new_names = {point: name for name, point in points.items() if point not in self._by_values}
         if len(self.runs) + len(new_names) > self.problem.fit.runs:
             raise _RunsUsed
         planned, refusals = [], {}
@@ -118,14 +119,14 @@ class Evaluations:
             options = self._options
             batch_results = batch.run(planned, options.folder, options.cores, options.slurm)
             results = {result.planned.name: result for result in batch_results}
-        for id, name in new_names.items():
+        for point, name in new_names.items():
             run = fit_results.fit_run(
                 self.problem, name, requested[name], results.get(name), refusals[name]
             )
-            self._by_values[id] = run
+            self._by_values[point] = run
             self.runs.append(run)
             log.info("%s", fit_results.line(self.problem, run))
-        return [self._by_values[id] for id in identities.values()]
+        return [self._by_values[point] for point in points.values()]
 
     def derivatives(self, run: FitRun) -> Floats:
         """Return the derivatives of the numbers by the keys at a run (numbers, keys).
@@ -264,7 +265,7 @@ def _violations(problem: FitProblem, run: FitRun) -> Floats:
 
 
 def _find_extremum(evaluate: Evaluations, start: FitRun) -> Outcome:
-    """Search the smallest or largest objective under the constraints."""
+    """Search for the smallest or largest objective under the constraints."""
     problem = evaluate.problem
     scale = abs(_cost(problem, start)) or 1.0
 

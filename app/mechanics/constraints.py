@@ -28,7 +28,7 @@ from app.scene.scene import Scene
 # A motion of a rigid region is constrained if its supports resist it by more than this fraction of
 # the motion they resist most.
 HELD_RESISTANCE = 1e-9
-# Number of the rigid region of nodes that move freely, and of nodes that follow others.
+# In place of the number of a rigid region: a node moves freely, or follows others.
 FREE = -1
 FOLLOWS = -2
 

@@ -360,11 +360,11 @@ class Problem:
         self.u.x.scatter_forward()
         if self.contact is None:
             return
-        of_jumps = nodal.duplicate()
+        jump_displacement = nodal.duplicate()
         for body, B in self.contact.coupling.jump_to_displacement.items():
-            B.mult(q, of_jumps)
+            B.mult(q, jump_displacement)
             function = self.jump_displacements[body]
-            function.x.petsc_vec.array[:owned] = nodal.array + of_jumps.array
+            function.x.petsc_vec.array[:owned] = nodal.array + jump_displacement.array
             function.x.scatter_forward()
 
     @property

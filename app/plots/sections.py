@@ -22,12 +22,13 @@ from app.plots.maps import joined
 from meshes.data import EDGES, MeshData, boundary_facets, interface_facets
 from meshes.mantle import distance, triangles
 
-# The straight cells that share the nodes of a curved one: its corners, and four around a diagonal.
-PARTS = (
+# The straight cells that share the nodes of a curved one: four at its corners, and four around a
+# diagonal.
+STRAIGHT_CELLS = (
     *((0, 4, 6, 7), (4, 1, 5, 9), (6, 5, 2, 8), (7, 9, 8, 3)),
     *((4, 8, 6, 7), (4, 8, 7, 9), (4, 8, 9, 5), (4, 8, 5, 6)),
 )
-# Colour of a region by its name; others take the next of `OTHERS`.
+# Colour of a region by its name; other regions take the next of `OTHER_COLOURS`.
 COLOURS = {
     "stem": "#7f8fa6",
     "cement": "#e8a0a8",
@@ -35,13 +36,13 @@ COLOURS = {
     "cancellous_bone": "#f5eed2",
     "bone": "#e6cf8b",
 }
-OTHERS = ("#8fb7d9", "#f2b880", "#a8cf9b", "#c7a7d8", "#d9d07c", "#88c9c3")
+OTHER_COLOURS = ("#8fb7d9", "#f2b880", "#a8cf9b", "#c7a7d8", "#d9d07c", "#88c9c3")
 AXES = "xyz"
 INTERFACES = ("stem_cement", "cement_bone")
 # Interfaces around a stem, with and without cement.
 AROUND_STEM = ("stem_cement", "stem_bone")
 # Distance of the sections from the tip and from the lowest point of the neck cut [mm].
-INSIDE = 1.0
+END_DISTANCE = 1.0
 # The horizontal axis, whether it points to the left, and the axis along which one looks.
 VIEWS = {"lateral": (1, True, 0), "anterior": (0, True, 1), "medial": (1, False, 0)}
 FRONT_AND_SIDE = ("anterior", "medial")
@@ -71,10 +72,12 @@ _RINGS = {
 
 
 def cut(points: Floats, cells: Ints, axis: int, at: float) -> list[tuple[Floats, Ints]]:
-    """Cut tetrahedra by the plane x_axis = at [mm], exactly (curved cells: their corners).
+    """Cut tetrahedra by the plane x_axis = at [mm]; curved ones count as straight.
 
-    Nodes on the plane count as above. Returns, for triangles and for quadrilaterals, corners
-    (k, 3 or 4, 3) and their cells (k,).
+    Nodes on the plane count as above it.
+
+    Returns:
+        For triangles, then for quadrilaterals: corners (k, 3 or 4, 3) and their cells (k,).
     """
     height = points[cells[:, :4], axis] - at
     code = (height >= 0) @ (1 << np.arange(4))
@@ -89,7 +92,10 @@ def cut(points: Floats, cells: Ints, axis: int, at: float) -> list[tuple[Floats,
             (x[:, :, 0] * (1 - part_of_edge) + x[:, :, 1] * part_of_edge, cut_cells)
         )
     return [
-        (np.concatenate([c for c, _ in polygons]), np.concatenate([o for _, o in polygons]))
+        (
+            np.concatenate([corners for corners, _ in polygons]),
+            np.concatenate([cell for _, cell in polygons]),
+        )
         for polygons in sections.values()
     ]
 
@@ -101,7 +107,7 @@ def section(data: MeshData, axis: int, at: float) -> tuple[list[tuple[Floats, In
         Corners of polygons and their cells; the edges of the cells' sections (n, 2, 3) and the cell
         of each (n,).
     """
-    straight_cells = np.array(PARTS if data.curved else [(0, 1, 2, 3)])
+    straight_cells = np.array(STRAIGHT_CELLS if data.curved else [(0, 1, 2, 3)])
     cut_polygons = cut(data.points, data.cells[:, straight_cells].reshape(-1, 4), axis, at)
     polygons = [(corners, part // len(straight_cells)) for corners, part in cut_polygons]
     return polygons, *outlines(polygons)
@@ -137,7 +143,7 @@ def sections(data: MeshData, path: Path) -> None:
     top_level = stem.max()
     if "resection" in data.boundaries:
         top_level = data.points[boundary_facets(data, "resection"), 2].min()
-    upper_plane, lower_plane = top_level - INSIDE, stem.min() + INSIDE
+    upper_plane, lower_plane = top_level - END_DISTANCE, stem.min() + END_DISTANCE
     planes = {
         "near the neck cut": float(np.floor(upper_plane)),
         "middle of the stem": float(np.round(0.5 * (upper_plane + lower_plane))),
@@ -174,7 +180,7 @@ def fill(ax: Axes, data: MeshData, axis: int, at: float) -> None:
 
 
 def middle_plane(low: float, high: float) -> float:
-    """The coordinate plane (0) where it passes inside, else the middle."""
+    """Return 0, the coordinate plane, if it is well inside the range, else the middle."""
     if low < -0.1 * (high - low) and high > 0.1 * (high - low):
         return 0.0
     return 0.5 * (low + high)
@@ -182,7 +188,7 @@ def middle_plane(low: float, high: float) -> float:
 
 def colours_of(names: Iterable[str]) -> dict[str, str]:
     """Colour of each region."""
-    other_colours = (c for _ in names for c in OTHERS)
+    other_colours = (c for _ in names for c in OTHER_COLOURS)
     return {name: COLOURS.get(name) or next(other_colours) for name in names}
 
 
@@ -281,7 +287,7 @@ def surface(
     light = np.stack([horizontal, normal[:, 2], eye * normal[:, viewing_axis]], axis=1) @ LIGHT
     lit_colours = colours * (DARKEST + (1 - DARKEST) * np.clip(light, 0.0, 1.0))[:, None]
     order = np.argsort(eye * pieces[:, :, viewing_axis].mean(axis=1))
-    # Arrays, of which matplotlib makes paths in half the time of lists; its types do not know them.
+    # Matplotlib makes paths of arrays in half the time of lists, but its type hints lack arrays.
     projected_triangles: Any = pieces[order][:, :, [horizontal_axis, 2]]
     ax.add_collection(
         PolyCollection(

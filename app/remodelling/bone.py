@@ -48,8 +48,8 @@ class BoneMass(Record):
     """Bone that remodels; made and called collectively.
 
     Attributes:
-        problem: The mechanics, whose density it is.
-        forms: Their forms.
+        problem: The mechanical problem, which has the density.
+        forms: Forms of its bodies.
         stresses: Strain energy at points of the cells.
         volume: Integrals of the hat functions of the vertices (n, r) [mm3].
         mass: Mass at the start, added, and cut at the bounds of density [g].
@@ -90,7 +90,7 @@ class BoneMass(Record):
         return GRAM * float(self.problem.comm.allreduce(local))
 
     def changes(self) -> dict[int, dict[str, float]]:
-        """Relative change of mass since the start by zone, of ``all`` and by region; collective."""
+        """Relative change of mass since the start by zone: ``all``, then by region; collective."""
         forms, stresses, zones = self.forms, self.stresses, self._zones
         if zones is None:
             return {}
@@ -116,7 +116,7 @@ class BoneMass(Record):
             for zone in zones.numbers
         }
 
-    # What it publishes
+    # Numbers and columns
 
     def numbers(self) -> dict[str, Any]:
         """Sections ``remodelling`` and ``gruen`` of the state last committed; collective."""

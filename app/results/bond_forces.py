@@ -54,6 +54,39 @@ def _strength(bond: Interface) -> InterfaceStrength:
     return bond.law.strength or CEMENT_ON_BONE
 
 
+def _numbers(bond: Interface, surface: Surface, pressures: Floats, shear: Floats) -> Numbers:
+    """Numbers of a bond, with those of its parts below their names.
+
+    Args:
+        bond: The bond.
+        surface: Its facets.
+        pressures: Pressure of each face, negative in tension (m, 3) [MPa].
+        shear: Shear at each point (m,) [MPa].
+    """
+    means = surface.of_faces(pressures), np.repeat(shear[:, None], 3, axis=1)
+    values = tuple(map(surface.sharpened, means))
+    index = _strength(bond).index(*values)
+    by_part = dict[str, Numbers]()
+    for part in surface.parts:
+        if not surface.weight[part].any():
+            continue
+        numbers = failing(surface, index, part)
+        if not bond.law.strength:
+            numbers = {"strength_fraction": numbers["strength_fraction"]}
+        # Numbers have tension as positive.
+        for name, sign, mean, value in zip(
+            ("normal", "shear"), (-1.0, 1.0), means, values, strict=True
+        ):
+            field = surface.field(sign * value, part)
+            numbers |= {
+                "area": field.area,
+                f"{name}_mean": sign * surface.field(mean, part).mean(),
+                f"{name}_max": field.maximum()[0],
+            }
+        by_part[part] = numbers
+    return by_part.pop("", {}) | by_part
+
+
 class _OnPiece(OnBody):
     """A piece of a body between interfaces; only loads on its boundaries act on it."""
 
@@ -111,9 +144,9 @@ class BondForces:
 
     def __init__(self, problem: Problem, stresses: Stresses, borders: Borders | None) -> None:
         self._problem, self._stresses, self._borders = problem, stresses, borders
-        self._at_full: dict[Load, Floats] = {}
+        self._full_forces: dict[Load, Floats] = {}
         if self._bonds:
-            _ = self._geometry  # a mesh that is too coarse is refused before it is solved
+            _ = self._geometry  # refuses a mesh that is too coarse before it is solved
 
     def indices(self) -> tuple[ContactSurface, dict[str, tuple[int, Floats]]] | None:
         """Return failure indices of bonds by mean tractions; collective.
@@ -130,38 +163,19 @@ class BondForces:
         return surface, {b.name: (i, _strength(b).index(*loads)) for i, b in with_strength}
 
     def numbers(self, strong: bool = False) -> dict[str, Numbers]:
-        """Published numbers by interface; collective.
+        """Numbers of each bond for ``summary.json``, by interface; collective.
 
         Args:
-            strong: True for interfaces with known strength only.
+            strong: True for bonds of known strength only.
         """
         selected_bonds = [b for b in self._bonds if b.law.strength or not strong]
         if not selected_bonds:
             return {}
         pressures, shear = self._tractions()
-        by_interface = dict[str, Numbers]()
-        for b in selected_bonds:
-            surface = self._geometry.surfaces[b.name]
-            means = surface.of_faces(pressures), np.repeat(shear[:, None], 3, axis=1)
-            values = tuple(map(surface.sharpened, means))
-            index = _strength(b).index(*values)
-            of_parts = dict[str, Numbers]()
-            for part in (part for part in surface.parts if surface.weight[part].any()):
-                numbers = failing(surface, index, part)
-                if not b.law.strength:
-                    numbers = {"strength_fraction": numbers["strength_fraction"]}
-                for name, direction, mean, value in zip(
-                    ("normal", "shear"), (-1.0, 1.0), means, values, strict=True
-                ):
-                    field = surface.field(direction * value, part)
-                    numbers |= {
-                        "area": field.area,
-                        f"{name}_mean": direction * surface.field(mean, part).mean(),
-                        f"{name}_max": field.maximum()[0],
-                    }
-                of_parts[part] = numbers
-            by_interface[b.name] = of_parts.pop("", {}) | of_parts
-        return by_interface
+        return {
+            bond.name: _numbers(bond, self._geometry.surfaces[bond.name], pressures, shear)
+            for bond in selected_bonds
+        }
 
     def _tractions(self) -> tuple[Floats, Floats]:
         """Tractions over the areas of the corners; collective.
@@ -186,9 +200,9 @@ class BondForces:
         """Forces of the interfaces on the pieces at the nodes (pieces, m, 3) [N]; collective."""
         geometry, problem = self._geometry, self._problem
         nodal = np.zeros((len(geometry.pieces.names), len(geometry.nodes) + 1, 3))
-        for region, (rows, nodes, slopes) in geometry.cells.items():
+        for region, (rows, nodes, gradients) in geometry.cells.items():
             σ = self._stresses.evaluate(region)[rows]
-            forces = np.einsum("cqij,cqnj->cni", σ, slopes)
+            forces = np.einsum("cqij,cqnj->cni", σ, gradients)
             np.add.at(nodal[geometry.pieces.of_region[region]], nodes, forces)
         exerted = problem.comm.allreduce(nodal)[:, :-1]
         for load in problem.scene.loads:
@@ -215,7 +229,7 @@ class BondForces:
 
     @cached_property
     def _geometry(self) -> _BondGeometry:
-        """Return the interfaces with the points of contact; all states and variations share it."""
+        """Interfaces of the mesh with contact points, the same in all states and variations."""
         problem, scene, frames = self._problem, self._problem.scene, self._problem.stiffness.frames
         conforming = [c for c in scene.contacts if not c.between]
         pieces, other_pieces = pieces_of(problem.tagged, [*self._bonds, *conforming])
@@ -283,19 +297,21 @@ class BondForces:
 
     def _forces(self, load: Load) -> Floats:
         """Forces of a load on the pieces at the nodes (pieces, m, 3) at full amplitude [N]."""
-        key = at_full_amplitude(load)
-        if key not in self._at_full:
+        full_load = at_full_amplitude(load)
+        if full_load not in self._full_forces:
             problem, geometry = self._problem, self._geometry
             v = ufl.TestFunction(problem.space)
-            forces = self._at_full[key] = np.zeros(
+            forces = self._full_forces[full_load] = np.zeros(
                 (len(geometry.pieces.names), len(geometry.nodes), 3)
             )
             for piece in range(len(forces)):
-                work = key.work(v, _OnPiece(problem.body_forms, piece, geometry.near_boundaries))
+                work = full_load.work(
+                    v, _OnPiece(problem.body_forms, piece, geometry.near_boundaries)
+                )
                 if work != 0:
                     vector = assemble_form_vector(problem.body_forms.form(work))
                     forces[piece] = self._at_nodes(vector)
-        return self._at_full[key]
+        return self._full_forces[full_load]
 
     def _at_nodes(self, vector: PETSc.Vec) -> Floats:
         """Return values of a vector at the nodes (m, 3) on all ranks; collective."""
@@ -316,13 +332,14 @@ class BondForces:
         )
         rows = np.flatnonzero((near_rows < len(nodes)).any(axis=1))
         geometry = space.mesh.geometry
-        shapes = [space.ufl_element(), space.mesh.ufl_domain().ufl_coordinate_element()]
-        by_X, maps = (
+        # Derivatives of shape functions in the reference cell: of the displacement, of positions.
+        elements = [space.ufl_element(), space.mesh.ufl_domain().ufl_coordinate_element()]
+        of_u, of_x = (
             np.array(element.sub_elements[0].tabulate(1, stresses.points[region])[1:])
-            for element in shapes
+            for element in elements
         )
         x = geometry.x[geometry.dofmap[stresses.cells[region][rows]]]
-        inverse = np.linalg.inv(np.einsum("cni,jqn->cqij", x, maps))
+        inverse = np.linalg.inv(np.einsum("cni,jqn->cqij", x, of_x))
         volumes = stresses.places(region)[1][rows]
-        slopes = np.einsum("cq,jqn,cqji->cqni", volumes, by_X, inverse, optimize=True)
-        return rows, near_rows[rows], slopes
+        gradients = np.einsum("cq,jqn,cqji->cqni", volumes, of_u, inverse, optimize=True)
+        return rows, near_rows[rows], gradients

@@ -24,7 +24,7 @@ from meshes.geometry import is_hip
 from meshes.gruen import Zones
 
 # Fraction of the length of the stem within which a node belongs to its end [-].
-END = 1e-6
+END_FRACTION = 1e-6
 # Interfaces of a stem and its collar.
 ON_STEM = ("stem_cement", "stem_bone", ON_CUT)
 ENDS = ("tip_displacement", "top_displacement")
@@ -111,8 +111,8 @@ class FacetSurface:
     def rotation(self, u: Floats) -> Floats:
         """Fit a small rotation (3,) [rad] to displacements of the centres, weighted by area."""
         ξ = self.x - np.average(self.x, axis=0, weights=self.area)
-        second = np.einsum("p,pi,pj->ij", self.area, ξ, ξ)
-        inertia = np.trace(second) * np.eye(3) - second
+        second_moment = np.einsum("p,pi,pj->ij", self.area, ξ, ξ)
+        inertia = np.trace(second_moment) * np.eye(3) - second_moment
         return np.linalg.solve(inertia, self.area @ np.cross(ξ, u))
 
 
@@ -143,7 +143,7 @@ def _ends(problem: Problem, implant: Sequence[str]) -> list[tuple[Ints, Ints, In
     x = problem.space.tabulate_dof_coordinates()[dofs]
     lowest = comm.allreduce(float(x[:, 2].min(initial=np.inf)), MPI.MIN)
     highest = comm.allreduce(float(x[:, 2].max(initial=-np.inf)), MPI.MAX)
-    end_length = END * (highest - lowest)
+    end_length = END_FRACTION * (highest - lowest)
     end_nodes = []
     for z in (lowest, highest):
         is_near = np.abs(x[:, 2] - z) <= end_length
@@ -162,7 +162,7 @@ def nodal_displacements(problem: Problem) -> Floats:
 # Head and cortex
 
 # Standard deviation of the weights of the fit to the strain, in every direction [mm].
-GAUGE = 5.0
+GAUGE_RADIUS = 5.0
 
 
 def of_femur(problem: Problem, case: Case) -> Numbers:
@@ -170,7 +170,7 @@ def of_femur(problem: Problem, case: Case) -> Numbers:
 
     ``head_displacement`` (3,) [mm] is the mean over the head, or over the end of the neck.
     ``strain_lateral_10`` and others [-] are strains on the outer surface of the bone at the levels
-    of `GAUGES`, by linear fits to the strain nearby. Levels without bone have no number. The result
+    of `GAUGES`, by a fit to the strain nearby. Levels without bone have no number. The result
     is empty for other bodies than femora.
     """
     geometry = case.geometry
@@ -191,14 +191,15 @@ def of_femur(problem: Problem, case: Case) -> Numbers:
         for name, z in GAUGES.items():
             x, y, height = (outside.x - [0.0, 0.0, z]).T
             weight = (
-                outside.area * np.exp(-(height**2 + y**2) / (2 * GAUGE**2)) * (direction * x > 0)
+                outside.area
+                * np.exp(-(height**2 + y**2) / (2 * GAUGE_RADIUS**2))
+                * (direction * x > 0)
             )
-            if z - 2 * GAUGE > geometry.level:
-                fit = np.sqrt(weight)[:, None] * np.stack(
-                    [np.ones(len(x)), height, y, y * y], axis=1
-                )
-                level_strain = np.linalg.lstsq(fit, np.sqrt(weight) * strain)[0][0]
-                numbers[f"strain_{side}_{name}"] = float(level_strain)
+            if z - 2 * GAUGE_RADIUS > geometry.level:
+                root = np.sqrt(weight)
+                terms = np.stack([np.ones(len(x)), height, y, y * y], axis=1)
+                coefficients = np.linalg.lstsq(root[:, None] * terms, root * strain)[0]
+                numbers[f"strain_{side}_{name}"] = float(coefficients[0])
     return numbers
 
 
@@ -248,7 +249,7 @@ def of_collar(case: Case, interfaces: Mapping[str, Numbers]) -> Numbers:
 
 # Fraction of the bone of a zone below which a region has no numbers in the zone. Such a region is a
 # remnant of cancellous bone between cement and cortex.
-LEAST = 0.01
+LEAST_SHARE = 0.01
 
 
 def by_zone(
@@ -271,7 +272,7 @@ def by_zone(
     numbers_of_zone: dict[str, Zone] = {}
     for zone in zones.numbers:
         volumes = {r: float(volume[zone]) for r, (_, volume) in sums.items()}
-        volumes = {r: v for r, v in volumes.items() if v > LEAST * sum(volumes.values())}
+        volumes = {r: v for r, v in volumes.items() if v > LEAST_SHARE * sum(volumes.values())}
         density = {r: float(sums[r][0][zone]) / v for r, v in volumes.items()}
         numbers_of_zone[str(zone)] = {
             "strain_energy_density": density,

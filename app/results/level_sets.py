@@ -72,7 +72,12 @@ class RegionCells:
 
 
 def positive_share(f: Floats) -> Floats:
-    """Return the fraction (m,) of tetrahedra in which a linear f (m, 4) is not negative."""
+    """Return the fraction (m,) of tetrahedra in which a linear f (m, 4) is not negative.
+
+    A plane that separates one corner from three cuts off a tetrahedron: its fraction is the product
+    of those of the three edges. Between two pairs of corners, the wedge is the sum of three
+    tetrahedra.
+    """
     f = -np.sort(-f, axis=1)
     a, b, c, d = f.T
     count = (f >= 0).sum(axis=1)

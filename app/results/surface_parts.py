@@ -58,7 +58,8 @@ class Pieces:
         """Parts of the pieces with a positive level, given at corners of facets (f, 3)."""
         level = self.values(level)
         positive = level > 0
-        cuts = [(self.facet[rows], self.corners[rows]) for rows in [positive.all(axis=1)]]
+        is_whole = positive.all(axis=1)
+        cuts = [(self.facet[is_whole], self.corners[is_whole])]
         for positive_count in (1, 2):
             rows = np.flatnonzero(positive.sum(axis=1) == positive_count)
             # The corner that is the only one on its side comes first.
