@@ -1,8 +1,8 @@
 r"""Steps of given fracture energy: the load is an unknown, so that brittle interfaces do not jump.
 
 While an interface breaks, the load may have to fall, and the displacement too (snap-back). The
-dissipated energy always grows. With residual R, state x and
-fraction s of the path of loads a step solves
+dissipated energy always grows. With residual R, state x and fraction s of the path of loads a step
+solves
 
 .. math:: R(x, s) = 0, \qquad \sum_p W_p w_p(x) = E
 

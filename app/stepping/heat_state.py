@@ -149,7 +149,8 @@ class HeatState:
     def _with_work(self, state: State) -> State:
         """Return a state, with zero friction work as last part if mechanics is coupled."""
         coupled = self.coupled
-        return [*state, coupled.contact_heat.zero_work()] if coupled is not None else state
+        work = [coupled.contact_heat.zero_work()] if coupled is not None else []
+        return [*state, *work]
 
     def start(self, longest: float) -> float:
         """Set the rate of change at the start of a stage; return its first step [s].

@@ -91,7 +91,10 @@ class HeatedMechanics:
             problem.stress_history.begin_at(problem.displacements())
 
     def _update_state(self) -> ThermalState:
-        """Follow the heat, add the free strain since then, return the new state; collective."""
+        """Take over the state of the heat and return it; collective.
+
+        The free strain since the last update is added to `strains`.
+        """
         degrees = list(self._heating.degrees().values())
         T = self._heating.temperatures()
         for b, f in enumerate(self._temperatures):
