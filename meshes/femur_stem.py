@@ -370,7 +370,7 @@ def upper(
     # How far the lowest point of a ring is from its centre towards the section below.
     ring_dip = neck_radius * math.sqrt(max(0.0, 1.0 - float(axis @ normal) ** 2))
     rise = float(axis @ normal)
-    # The neck's axis is in the section that it leaves at this part of its length, or below.
+    # The neck's axis is in the section that it leaves at this fraction of its length, or below.
     neck_root = head_centre - length * axis
     least_fraction = (clearance + ring_dip - float(normal @ (neck_root - [0.0, 0.0, base]))) / (
         rise * length

@@ -26,9 +26,9 @@ from meshes.location import place, positions
 QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
 # Barycentric coordinates of the nodes of a facet with six nodes.
 NODES = np.vstack([np.eye(3), [[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]]])
-# Shift of a plane through nodes, in parts of the extent of the surface: it cuts edges, not nodes.
+# Shift of a plane through nodes, as a fraction of the surface's extent: it cuts edges, not nodes.
 SHIFT = 1e-7
-# Segments shorter than this part of their curve are left out.
+# Segments shorter than this fraction of their curve are left out.
 SHORTEST_SEGMENT = 1e-9
 
 

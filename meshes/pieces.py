@@ -25,7 +25,7 @@ from meshes.data import (
 )
 from meshes.facets import NODES, nodal_normals, shape_functions, surface
 
-# Nodes this close, in parts of the mesh's diagonal, are meant to be one.
+# Nodes this close, as a fraction of the mesh's diagonal, are meant to be one.
 COINCIDENT = 1e-7
 # Facets that meet at more than this angle are different faces [rad].
 SMOOTH_ANGLE = np.radians(50)

@@ -14,7 +14,7 @@ from app.schema.units import Angle, Dimension, Plain, PositiveLength
 _AtLeast0 = Annotated[float, Dimension("mm", "a length", "0.1 mm", at_least=0.0)]
 # Least and largest angle of cover of the cup [deg].
 COVER = (29.999, 120.001)
-# Largest distance of the bore from the head's centre, as a part of the head's radius.
+# Largest distance of the bore from the head's centre, as a fraction of the head's radius.
 NEAR = 0.9
 # Largest edge of cells over the diameter of the head.
 ROUND = 0.5

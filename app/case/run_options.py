@@ -109,7 +109,7 @@ class Stage(Section):
 
     @property
     def loaded(self) -> float:
-        """Part of the stage in which its loads are applied: creep is in the rest."""
+        """Fraction of the stage in which its loads are applied: creep is in the rest."""
         return 0.5 if self.creep else 1.0
 
     @property
@@ -122,13 +122,13 @@ class Stage(Section):
         segments_done = self.load_segments * (time - math.ceil(time) + 1)
         return round(segments_done) if abs(segments_done - round(segments_done)) < 1e-6 else 0
 
-    def reached(self, part: float) -> float:
-        """Part of the change applied after a part of the stage: 1 at the end and at peaks."""
+    def reached(self, fraction: float) -> float:
+        """Applied fraction of the change at a fraction of the stage: 1 at the end and at peaks."""
         if self._repeats:
-            return part
-        full_segments = min(int(self.load_segments * part), self.load_segments - 1)
+            return fraction
+        full_segments = min(int(self.load_segments * fraction), self.load_segments - 1)
         low = self.valley if full_segments else 0.0
-        up = min(self.load_segments * part / self.loaded, self.load_segments) - full_segments
+        up = min(self.load_segments * fraction / self.loaded, self.load_segments) - full_segments
         return low + (1.0 - low) * (1.0 - up if full_segments % 2 else up)
 
     @property

@@ -218,7 +218,7 @@ class StemTest(Section):
         return 1.0 / float(self.law.damage(np.maximum(s, np.finfo(float).tiny)))
 
     def failing(self, largest: float) -> float:
-        """Part of the stems that fail within the cycles of the test."""
+        """Fraction of the stems that fail within the cycles of the test."""
         margin = self.law.endured(self.cycles) - self.stress(largest)
         if self.law.deviation == 0.0:
             return float(margin < 0.0)

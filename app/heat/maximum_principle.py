@@ -23,10 +23,10 @@ import numpy as np
 from app.foundation.arrays import Bools, Floats
 from app.numerics.sparse import from_rows
 
-# Distances from a bound, in parts of the range of the data, that count as outside and as near.
+# Distances from a bound, as fractions of the range of the data, that count as outside and as near.
 OUTSIDE_TOLERANCE = 1e-9
 NEAR_BOUND = 1e-5
-# Entries of a matrix and heat into nodes below this part of the largest are rounding.
+# Entries of a matrix and heat into nodes below this fraction of the largest are rounding.
 ROUNDING = 1e-12
 # Least span [K]: temperatures are no better than their rounding.
 SMALLEST_SPAN = 1.0

@@ -32,8 +32,8 @@ from app.scene.scene import Scene
 from app.system.timing import Timing
 from meshes.distribute import TaggedMesh
 
-# Ratios of capacity and conduction until a node is close. Measured, as parts of the difference of
-# the temperatures: 1.1 % after 3, 0.4 % after 6, 0.1 % after 10, for any size of the cells.
+# Ratios of capacity and conduction until a node is close. Measured, as fractions of the difference
+# of the temperatures: 1.1 % after 3, 0.4 % after 6, 0.1 % after 10, for any size of the cells.
 RELAXATION_TIMES = 10.0
 
 

@@ -38,7 +38,7 @@ MORE_RINGS = 3
 MODELS = (2, 5, 8)
 # Least number of nodes beyond the number of coefficients.
 SPARE_NODES = 2
-# A model with more coefficients needs less than this part of the standard error of another one.
+# A model with more coefficients needs less than this fraction of the standard error of another one.
 ERROR_RATIO = 0.25
 # Normals that differ by less are equal [rad].
 FLAT_ANGLE = 1e-6
@@ -50,7 +50,7 @@ LARGEST_SLOPE = 0.01
 ROUNDING = 1e-12
 # Largest number of steps until slopes are rounding errors.
 MOST_STEPS = 20
-# Singular values below this part of the largest are zero.
+# Singular values below this fraction of the largest are zero.
 SINGULAR = 1e-10
 
 

@@ -14,7 +14,7 @@ from app.numerics.rigid_motions import rigid_modes
 from app.numerics.sparse import from_triplets, matrix_sum
 from app.scene.bodies import cell_tags, touched_nodes
 
-# A direction is free if a law resists less than this part of it.
+# A direction is free if a law resists less than this fraction of it.
 FREE_SLOPE = 0.5
 # Large boxes about the interfaces over the cube root of the number of contact points.
 LARGE_BOXES = 1.5

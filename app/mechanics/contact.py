@@ -62,11 +62,11 @@ CLOSED_GAP = 1e-6
 APPROACH_FACTOR = 1.25
 # Points count for this distance if the cosine of normal and direction of motion is above this.
 FACING_COSINE = 0.1
-# A rigid motion of bodies is free if its resistance is below this part of the largest one.
+# A rigid motion of bodies is free if its resistance is below this fraction of the largest one.
 FREE_RESISTANCE = 1e-10
 # A body takes part in a free motion of unit size if its components have at least this size.
 MOVING_SIZE = 1e-3
-# A motion changes no gap if its resistance, a slope squared, is below this part of the largest one.
+# A motion changes no gap if its resistance, a slope squared, is below this fraction of the largest.
 ZERO_RESISTANCE = 1e-14
 
 

@@ -39,12 +39,12 @@ OUTPUTS: dict[str, tuple[int, ...]] = {
 }
 # Prefix of the outputs with new internal variables.
 NEW = "new "
-# A prescribed slip below this part of the jumps counts as zero.
+# A prescribed slip below this fraction of the jumps counts as zero.
 SLIP_ROUNDING = 1e-13
-# So does one whose trial force is below this part of the whole trial force: it is smaller than the
-# errors of the friction along it, which would decide about stick and slip.
+# So does one whose trial force is below this fraction of the whole trial force: it is smaller than
+# the errors of the friction along it, which would decide about stick and slip.
 REST_TOLERANCE = 1e-11
-# The force along a prescribed jump has converged within this part of the trial force.
+# The force along a prescribed jump has converged within this fraction of the trial force.
 FORCE_TOLERANCE = 1e-12
 # Upper bound of such a force over the trial force [-]. It is above the limit of friction.
 UPPER_BOUND = 1e3

@@ -33,7 +33,7 @@ from app.numerics.sparse import from_triplets
 from app.scene.bodies import cell_tags, facets_by_body, nodes_on, touched_nodes
 from app.scene.scene import Interface, Scene
 
-# Points further from the master than this part of an edge have rows of shape functions.
+# Points further from the master than this fraction of an edge have rows of shape functions.
 MORTAR_REACH = 0.1
 
 

@@ -40,7 +40,7 @@ class Pairs(NamedTuple):
         rows: Slave node of each entry, rising (e,).
         columns: Master node of each entry, each pair once (e,).
         values: Entries (e,).
-        covered: Part of the area of each slave node that faces the master (n,) [-].
+        covered: Fraction of the area of each slave node that faces the master (n,) [-].
         mortar: True for mortar rows (n,), False for shape functions at the closest point.
     """
 

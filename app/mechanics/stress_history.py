@@ -44,7 +44,7 @@ from forms import cure, elasticity, loads
 ROWS = np.array([0, 1, 2, 1, 0, 0])
 # Their columns.
 COLUMNS = np.array([0, 1, 2, 2, 2, 1])
-# A modulus that changes by less than this part of the final one counts as unchanged.
+# A modulus that changes by less than this fraction of the final one counts as unchanged.
 MODULUS_TOLERANCE = 1e-12
 
 

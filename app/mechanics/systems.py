@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("mantle")
 
-# Stiffness of weak springs between bodies that nothing holds, as a part of the diagonal of D.
+# Stiffness of weak springs between bodies that nothing holds, as a fraction of the diagonal of D.
 SPRING_STIFFNESS = 1e-2
-# Motions that nothing resists are rounding below this part of the jumps of a step.
+# Motions that nothing resists are rounding below this fraction of the jumps of a step.
 MOTION_ROUNDING = 1e-12
-# Forces are in balance if their work in motions of unit size is below this part of their size.
+# Forces are in balance if their work in motions of unit size is below this fraction of their size.
 UNBALANCED_WORK = 1e-8
 # Shear counts as an effect of uncertain normals up to this multiple of their uncertainty.
 UNCERTAINTY_FACTOR = 3.0

@@ -23,7 +23,7 @@ FIRST_ORDER_SOLVES = 4
 SMALLEST_CONDENSED = 3_500
 # A later solve by a Krylov method over the first.
 LATER_SOLVE_RATIO = 0.4
-# Part of the memory that factors may take.
+# Fraction of the memory that factors may take.
 MEMORY_SHARE = 0.5
 
 

@@ -58,11 +58,11 @@ ROUNDING = 1e-10
 SINGLE_TOLERANCE = 1e-2
 # The same with factors in double precision.
 DOUBLE_TOLERANCE = 1e-4
-# The factors are kept for the next step if the residual has fallen to this part of itself.
+# The factors are kept for the next step if the residual has fallen to this fraction of itself.
 REUSE_RATIO = 1e-2
-# Stiffness of the weak springs of a singular step, as a part of the diagonal of S.
+# Stiffness of the weak springs of a singular step, as a fraction of the diagonal of S.
 SPRING_STIFFNESS = 1e-2
-# Part of the tolerance that out-of-balance forces of a start may have without being removed.
+# Fraction of the tolerance that out-of-balance forces of a start may have without being removed.
 NEGLIGIBLE_IMBALANCE = 0.01
 
 

@@ -21,14 +21,14 @@ import numpy as np
 from app.foundation.arrays import Floats
 from app.numerics.sparse import block_diagonal, diagonal, fill, matrix_sum
 
-# Motions with less than this part of the largest stiffness are left to the Krylov method.
+# Motions with less than this fraction of the largest stiffness are left to the Krylov method.
 ZERO_STIFFNESS = 1e-10
 # The others are stiffened by this part, as the motions of small boxes may be linearly dependent.
 DIAGONAL_SHIFT = 1e-8
 # The free directions of a point have changed if its projector differs by this, its stiffness if it
-# differs by this part of the larger one.
+# differs by this fraction of the larger one.
 CHANGED_POINT = 0.5
-# Part of the points that may change before the motions are updated.
+# Fraction of the points that may change before the motions are updated.
 CHANGED_SHARE = 0.03
 
 

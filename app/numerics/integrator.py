@@ -51,7 +51,7 @@ class Method:
 
     @property
     def c(self) -> Floats:
-        """Times of the stages as parts of the step (s,)."""
+        """Times of the stages as fractions of the step (s,)."""
         # The last stage ends the step: a rounded sum might lie beyond the end.
         return np.append(self.a[:-1].sum(axis=1), 1.0)
 
@@ -194,7 +194,7 @@ def _interpolated_slopes(
 ) -> tuple[Floats, Sequence[State]]:
     """Weights of slopes in a step of length h [s] at c: on the line through the two nearest.
 
-    ``slopes_at`` are times, as parts of the step, and the slopes there.
+    ``slopes_at`` are times, as fractions of the step, and the slopes there.
     """
     nearest = sorted(slopes_at, key=lambda k: abs(k[0] - time_fraction))[:2]
     slopes = [slope for _, slope in nearest]

@@ -49,7 +49,7 @@ NEWTON: Options = {
 }
 # Tolerance of the linear solver while contact points change their states.
 LOOSE_TOLERANCE = 0.1
-# Part of the contact points that counts as few.
+# Fraction of the contact points that counts as few.
 FEW_POINTS = 0.01
 # Largest tolerance of the linear solver while few change.
 FINE_TOLERANCE = 0.01
@@ -64,8 +64,8 @@ ABSOLUTE_TOLERANCE = 0.3
 # Tolerance of the linear solver that suffices for the last iteration, over that of Newton.
 LAST_TOLERANCE = 0.2
 # Newton stalls if neither the residual nor the number of points that change state has fallen to
-# this part of itself in a number of iterations. While fewer and fewer points change, the residual
-# may stay before it falls (stance with cells of 4 mm: six iterations).
+# this fraction of itself in a number of iterations. While fewer and fewer points change, the
+# residual may stay before it falls (stance with cells of 4 mm: six iterations).
 STALLED_RATIO = 0.5
 # The number of iterations, by line search.
 STALLED_ITERATIONS = {"bt": 4}

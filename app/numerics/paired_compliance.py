@@ -18,7 +18,7 @@ from scipy.sparse import csr_array
 
 from app.foundation.arrays import Floats
 
-# Part of the largest pivot below which nothing resists a motion.
+# Fraction of the largest pivot below which nothing resists a motion.
 LOOSE_PIVOT = 1e-9
 
 

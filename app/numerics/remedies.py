@@ -19,7 +19,7 @@ log = logging.getLogger("mantle")
 AUGMENTATIONS = ((0.1, True), (0.01, True), None, (100.0, False), (0.1, False), (0.01, False), None)
 # Factors of the default augmentation, tried last if the case sets another one.
 DEFAULT_FACTORS = (1.0, 0.1, 0.01)
-# Part of the default augmentation below which a solution is refined with the default.
+# Fraction of the default augmentation below which a solution is refined with the default.
 SMALL_AUGMENTATION = 0.05
 
 

@@ -32,7 +32,7 @@ FAILED = "failed"
 ROUNDED = {"µm": 1e-6, "MPa": 1e-8}
 # Unit of an axis that need not contain zero.
 CELSIUS = "°C"
-# Shift between lines with error bars, as part of the range of x.
+# Shift between lines with error bars, as a fraction of the range of x.
 APART = 0.012
 # Most values of x that are all written at the axis.
 TICKS = 8

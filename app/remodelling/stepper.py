@@ -35,7 +35,7 @@ LARGEST_CHANGE = 0.3
 GROWTH = Growth(safety=0.9, smallest=0.2, largest=2.0, after_failure=0.5)
 # Length of a repeated step over the length of the refused one, at most.
 SHORTER = 0.9
-# Part of a stage below which a step is too short.
+# Fraction of a stage below which a step is too short.
 SHORTEST = 1e-8
 
 

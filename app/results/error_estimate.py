@@ -57,7 +57,7 @@ COARSER = (2.0, 3.0)
 TOLERANCE_POWER = {"sdirk4": 1.0, "backward_euler": 2.0}
 # A peak is unsettled if it changes by more than this part from the next mesh to that of the run.
 UNSETTLED = 0.1
-# A number is rounding below this part of the largest number of its unit.
+# A number is rounding below this fraction of the largest number of its unit.
 ROUNDING = 1e-6
 # Below this part it is zero if it changes from mesh to mesh by at least its size.
 SMALL = 0.01

@@ -35,7 +35,7 @@ FINER = 1.1
 MEMORY = 1.5
 # Longest time of a run over the estimated time.
 TIME = 2.0
-# A number counts as at least this part of the largest number of the same unit.
+# A number counts as at least this fraction of the largest number of the same unit.
 NEGLIGIBLE = 0.1
 
 

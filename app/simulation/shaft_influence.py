@@ -21,7 +21,7 @@ log = logging.getLogger("mantle")
 
 # Mesh size of the companions over that of the run.
 COARSER = 2.0
-# Part of the largest number of its unit below which the change of a number is not reported.
+# Fraction of the largest number of its unit below which the change of a number is not reported.
 NEGLIGIBLE = 0.1
 
 

@@ -28,7 +28,7 @@ from meshes.pieces import MeshPieces, Piece, Touch
 
 # Contact without friction barely resists a motion if its mean slope against it is below this [deg].
 SLOPE = 3.0
-# The same limit for slopes that cancel in the mean, as a part of the angle between facets.
+# The same limit for slopes that cancel in the mean, as a fraction of the angle between facets.
 FACETS = 0.4
 # Time after the start of a stage at which gaps are judged, as a fraction of the stage.
 JUST_AFTER = 1e-3

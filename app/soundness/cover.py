@@ -17,7 +17,7 @@ from app.scene.bodies import cell_tags, touched_nodes
 from app.scene.scene import Interface
 from app.system.layout import point_text
 
-# A point is beyond the rim of a surface if its distance exceeds this part of an edge.
+# A point is beyond the rim of a surface if its distance exceeds this fraction of an edge.
 OFF = 0.25
 # Largest tilt of an elastic body without a prescribed motion [rad]. Contact forces do not rotate
 # with its surface. Their error is about the load times the tilt (measured: 150 N instead of 155.5 N

@@ -171,8 +171,8 @@ class Explanation:
 
         Args:
             stage: Name of the stage.
-            reached_fraction: Part of the stage at which the solve failed.
-            steps: Lengths of the failed steps, as parts of the stage.
+            reached_fraction: Fraction of the stage at which the solve failed.
+            steps: Lengths of the failed steps, as fractions of the stage.
         """
         place = f"no convergence in stage '{stage}' at {100 * reached_fraction:.3g} % of it"
         residuals = ", ".join(f"{r:.1e}" for r in self.outcome.residuals[-6:])

@@ -31,45 +31,45 @@ if TYPE_CHECKING:  # they import dolfinx, which the check of a case does not nee
     from app.mechanics.contact import ContactInterfaces, TrialState
     from app.mechanics.problem import Problem
 
-# A motion is free if its resistance is below this part of the largest.
+# A motion is free if its resistance is below this fraction of the largest.
 FREE = 1e-10
 # Supports hold a body if their least resistance to translation exceeds this part.
 HELD = 1e-3
-# A body slides if this part of its touching area bears this part of the friction limit.
+# A body slides if this fraction of its touching area bears this fraction of the friction limit.
 SLIDES = 0.95
 ALL_OF_IT = 1 - 1e-6
-# Jumps of a free body run away beyond this part of the size of the interfaces.
+# Jumps of a free body run away beyond this fraction of the size of the interfaces.
 RUNAWAY = 0.05
 # They must also exceed this motion in units of load / (modulus of the softer side x size). It is 5
 # for a stem wedged by friction, 70 for a frictionless taper of 1.5 degrees, and 600 for a straight
 # frictionless stem.
 LOOSE = 200.0
-# Displacements are not small beyond this part of the size of the interfaces, whatever resists them.
+# Displacements are not small beyond this fraction of the size of the interfaces, whatever resists.
 NOT_SMALL = 0.2
 # Largest motion of an interface by a lever, over the largest prescribed displacement.
 LEVER = 10.0
 # Root of the compliance of springs between rigid bodies: with it a taper of 1 degree and 100 points
 # bears 99 % of a push.
 SPRING = 0.02
-# Loads are in balance along a motion if their work is less than this part of its upper bound, for
-# which all loads act along the motion. Such a remainder is within the tolerance of the solvers.
+# Loads are in balance along a motion if their work is less than this fraction of its upper bound,
+# for which all loads act along the motion. Such a remainder is within the tolerance of the solvers.
 BALANCED = 1e-8
-# Springs do not bear a direction if more than this part of a load along it remains.
+# Springs do not bear a direction if more than this fraction of a load along it remains.
 UNBORNE = 0.1
 # Largest number of iterations for the set of compressed springs.
 MOST = 20
 # Number of loadings of the springs, each by the load that remains. With one loading, a body under a
 # large load sinks into its springs and loses contact with another one under a small load.
 LOADINGS = 2
-# Facets alone hold a motion if contact resists it less than this part of the resistance by randomly
-# spread normals (0.01 for a smooth stem that rotates, 0.8 to 100 where its taper resists).
+# Facets alone hold a motion if contact resists it less than this fraction of the resistance by
+# randomly spread normals (0.01 for a smooth stem that rotates, 0.8 to 100 where its taper resists).
 SPREAD = 0.25
-# Such a motion counts if its square exceeds this part of the squared jumps (0.003 in a push, 0.15
-# in a rotation).
+# Such a motion counts if its square exceeds this fraction of the squared jumps (0.003 in a push,
+# 0.15 in a rotation).
 PART = 0.05
-# Bodies are apart by more than this part of the size of the interfaces.
+# Bodies are apart by more than this fraction of the size of the interfaces.
 GAP = 1e-8
-# A pressure below this part of (stiffness per area x size) counts as zero.
+# A pressure below this fraction of (stiffness per area x size) counts as zero.
 UNPRESSED = 1e-10
 # Subject of verdicts on contact.
 CONTACT = "contact"

@@ -36,7 +36,7 @@ MEMORY_ERRORS = (
 )
 # PETSc's code of an error without memory.
 OUT_OF_MEMORY = 55
-# Part of the limit of a process from which on its memory counts as used up.
+# Fraction of the limit of a process from which on its memory counts as used up.
 NEARLY = 0.9
 # Bytes of a gigabyte.
 GIGABYTE = 1e9

@@ -43,13 +43,13 @@ from meshes.pieces import MeshPieces, pieces_of_mesh, touching_without_shared_no
 if TYPE_CHECKING:
     from meshes import MeshData
 
-# Gaps beyond this part of the interface or of the bodies are not small.
+# Gaps beyond this fraction of the interface or of the bodies are not small.
 LARGE_GAP = 0.05
-# Interferences beyond this part of the thickness of the bodies are impossible.
+# Interferences beyond this fraction of the thickness of the bodies are impossible.
 IMPOSSIBLE_INTERFERENCE = 0.25
-# Prescribed displacements beyond this part of the size of the model are not small.
+# Prescribed displacements beyond this fraction of the size of the model are not small.
 LARGE_DISPLACEMENT = 0.5
-# A piece is slender if it is thinner than this part of its length.
+# A piece is slender if it is thinner than this fraction of its length.
 SLENDER_PIECE = 0.2
 # Bars and plates of linear cells of edge l and thickness h are too stiff in bending by this factor
 # times (l / h)^2 (measured with 1 to 5 cells through them: 2.2 to 3.0).
@@ -58,17 +58,17 @@ EXCESS_OF_LINEAR_CELLS = 2.3
 LARGE_EXCESS = 0.1
 # Remedy for numbers far from any usual one.
 WRONG_UNIT = "is the unit wrong?"
-# An interface is noted if supports hold both sides at more than this part of its points.
+# An interface is noted if supports hold both sides at more than this fraction of its points.
 CLAMPED_SHARE = 0.5
-# A piece bends freely if more than this part of its surface is free.
+# A piece bends freely if more than this fraction of its surface is free.
 FREE_SURFACE_SHARE = 0.5
 # Diagonals of anything in a human body or at a bench [mm].
 USUAL_DIAGONALS = (1.0, 3000.0)
-# Two prescribed displacements differ if their difference exceeds this part of the larger one.
+# Two prescribed displacements differ if their difference exceeds this fraction of the larger one.
 SAME_DISPLACEMENT = 1e-9
 # An eigenvalue of the directions that supports hold at a node is zero below this.
 ZERO_EIGENVALUE = 1e-9
-# An axis this close to a cell, in parts of its size, touches it.
+# An axis this close to a cell, as a fraction of its size, touches it.
 TOUCHED_BY_AXIS = 1e-6
 
 # Function that returns errors and notes on a case on its mesh.

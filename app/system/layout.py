@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 # One or several, with errors and with a unit of a few letters, if any.
 NUMBER = re.compile(r"([-+<]?\s*[\d.][\d.,e+\-±/ ]*( ?[^\d\s]{1,3})?|[-/. ]*)")
-# Part of the largest component of a vector below which another one is printed as zero.
+# Fraction of the largest component of a vector below which another one is printed as zero.
 ROUNDING = 1e-12
 
 

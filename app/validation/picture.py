@@ -22,7 +22,7 @@ MEASURED = 1
 WORDS = 8
 # Least end of a band over its value, on logarithmic axes.
 LEAST = 1 / 30
-# Part of the width of the axes beyond which a name stands to the left of its point.
+# Fraction of the width of the axes beyond which a name stands to the left of its point.
 NEAR_END = 0.85
 # Height of a row [inch].
 ROW = 0.42
