@@ -255,7 +255,7 @@ class LayeredSurfaces:
             return points[:, :2].reshape(len(levels), EDGE_LINES, 2)
 
         def divided(start: float, end: float, steps: int) -> list[float]:
-            levels = np.linspace(start, end, steps + 1)
+            levels = np.linspace(start, end, steps + 1, dtype=float)
             x = outlines(levels)
             if _distance_from_parabola(x) < EDGE_DISTANCE or abs(end - start) < 2 * shortest_step:
                 return [end]
@@ -273,8 +273,10 @@ class LayeredSurfaces:
             return divided(start, split, EDGE_SAMPLES) + divided(split, end, EDGE_SAMPLES)
 
         shortest_step = self.mesh.step_along * SHORTEST_STEP
-        steps = pairwise(heights.tolist())
-        return np.array([heights[0], *(h for ends in steps for h in divided(*ends, 4))])
+        all_heights = [float(heights[0])]
+        for start, end in pairwise(heights):
+            all_heights += divided(float(start), float(end), 4)
+        return np.array(all_heights)
 
     def _divide_above_cut(self, implant: Implant) -> None:
         """Divide the stem above the cut."""

@@ -63,6 +63,8 @@ UNCEMENTED: dict[str, Sides] = {"stem_bone": (("stem",), BONE)}
 COLLAR = "collar"  # region of a collar
 ON_CUT = "collar_bone"  # interface under it
 VOID = 5.0  # length without bone below a stem without cement (mm), by default
+# Further steps at edges along a stem from CAD: 2 to 9 in seven stems.
+EDGE_STEPS = 6
 INSIDE = 2.0 / 3.0  # least fraction of the stem in the bone
 HALF_TIP = 10.0  # mm that a stem's end reaches from its axis, at most
 
@@ -331,12 +333,14 @@ class Hip(Shape):
         lengths_of_ends = 2.0 * (self.plug_length - self.void), implant.tip_height, self.void
         below, equal, _ = mesh.graded(implant.plug - self.distal_height, "below")
         cells_through = mesh.cells_through(self.cement_thickness)
+        edges, about = (0, "") if implant.cad is None else (EDGE_STEPS, ", about")
         return {
             "lines around": mesh.lines_around(self._section()),
-            "steps along the stem": len(stem)
+            f"steps along the stem{about}": len(stem)
             - 1
             + further_steps
-            + sum(map(mesh.steps, filter(None, lengths_of_ends))),
+            + sum(map(mesh.steps, filter(None, lengths_of_ends)))
+            + edges,
             "steps below": len(below) - 1 + equal,
             "cells through cement, cancellous and cortical bone": cells_through,
         }
