@@ -183,7 +183,10 @@ def exterior_facets(cells: Ints) -> tuple[Ints, Ints]:
 
 
 def connected(n: int, a: Ints, b: Ints) -> Ints:
-    """Connected component of each of n nodes joined by pairs (a, b), by their first nodes (n,)."""
+    """Number of the connected component of each of n nodes that pairs (a, b) join (n,).
+
+    Components are numbered from 0 in the order of their first nodes.
+    """
     node = np.arange(n)
     label: Ints = node.copy()
     while len(a):

@@ -46,6 +46,7 @@ from app.heat.operators import HeatOperators
 from app.laws.values import multiplier
 from app.numerics.preconditioners import INTERFACE, MULTIGRID, Options, is_direct
 from app.numerics.system import Measure, System, block_norm
+from meshes.data import connected
 
 # Rounding error of a row in units of eps |diagonal| |temperature|: about the square root of its
 # number of entries.
@@ -182,9 +183,8 @@ class ImplicitStep(System):
         has_condition_at_node |= operators.fixed.condition_of_body >= 0
         has_condition = np.any(self.comm.allgather(has_condition_at_node.any(axis=1)), axis=0)
         # Bodies that exchange heat have the same group.
-        group = np.arange(len(has_condition))
-        for master, slave in self._conducting_pairs():
-            group[group == group[slave]] = group[master]
+        pairs = np.array(self._conducting_pairs(), dtype=np.int64).reshape(-1, 2)
+        group = connected(len(has_condition), pairs[:, 0], pairs[:, 1])
         isolated = np.flatnonzero(~np.isin(group, group[has_condition]))
         if len(isolated):
             raise InputError(

@@ -57,6 +57,7 @@ from app.interfaces.corners import (
 )
 from app.interfaces.faces import drop_prescribed, faces_around, projectors, shared
 from app.interfaces.interface_facets import InterfaceFacets
+from meshes.data import connected
 from meshes.facets import bends
 
 # A direction is tangential to a face below this cosine with its normal.
@@ -213,6 +214,7 @@ def _independent(
         names: Names of the interfaces.
     """
     corners_of_vertices = shared(all_corners[:, 1])
+    body_count = int(all_corners[:, 2:].max()) + 1
     # A vertex with as many corners as bodies, or more, has dependent corners.
     is_crowded = np.zeros(len(all_corners), dtype=bool)
     for rows in corners_of_vertices:
@@ -253,15 +255,12 @@ def _independent(
         for rows in corners_of_vertices:
             if not is_crowded[rows[0]]:
                 continue
-            # Bodies that points join have the same group.
-            group = {int(body): int(body) for body in all_corners[rows, 2:].ravel()}
             by_preference = sorted(map(int, rows), key=partial(preference, corners_of_vertex=rows))
-            for corner in by_preference:
-                master_group, slave_group = (group[int(body)] for body in all_corners[corner, 2:])
-                is_point[corner] = master_group != slave_group
-                for body, label in group.items():
-                    if label == slave_group:
-                        group[body] = master_group
+            master, slave = all_corners[by_preference, 2:].T
+            for n, corner in enumerate(by_preference):
+                # Bodies that the corners before this one join have the same group.
+                group = connected(body_count, master[:n], slave[:n])
+                is_point[corner] = group[master[n]] != group[slave[n]]
         has_no_point = (np.bincount(pair, is_point) == 0) & ~needs_point
         if not has_no_point.any():
             return is_point

@@ -21,6 +21,7 @@ from app.foundation.errors import InputError
 from app.interfaces.interface_facets import InterfaceFacets, gather, sorted_facets
 from app.laws.materials import Rigid
 from app.scene.scene import Interface
+from meshes.data import connected
 from meshes.distribute import TaggedMesh
 
 
@@ -86,18 +87,12 @@ def bodies_of(tagged: TaggedMesh, contacts: Sequence[Interface], rigid: Sequence
     """
     region_of_tag = {tag: region for region, tag in tagged.regions.items()}
     separated = _separated(tagged, contacts)
-    # Tags of joined regions have the same label.
-    label_of_tag = {tag: tag for tag in region_of_tag}
-    for tag_a, tag_b in _touching(tagged):
-        if frozenset((tag_a, tag_b)) not in separated:
-            label_of_tag = _joined(label_of_tag, tag_a, tag_b)
+    joined = [pair for pair in _touching(tagged) if frozenset(pair) not in separated]
+    label_of_tag = _labels(tagged, joined)
     # If supports hold both sides of a jump, the first body is the base. A rigid body comes first.
     rigid_labels = {label_of_tag[tagged.regions[r.region]] for r in rigid}
-
-    def rigid_first(label: int) -> tuple[bool, int]:
-        return label not in rigid_labels, min(t for t in label_of_tag if label_of_tag[t] == label)
-
-    labels = sorted(set(label_of_tag.values()), key=rigid_first)
+    other_labels = set(label_of_tag.values()) - rigid_labels
+    labels = [*sorted(rigid_labels), *sorted(other_labels)]
     body_of_label = {label: body for body, label in enumerate(labels)}
     body_of_tag = np.full(max(region_of_tag) + 1, -1, dtype=np.int64)
     body_of_region: dict[str, int] = {}
@@ -130,20 +125,17 @@ def pieces_of(
     """
     region_of_tag = {tag: region for region, tag in tagged.regions.items()}
     separated = _separated(tagged, interfaces)
-    label_of_tag = {tag: tag for tag in region_of_tag}
+    joined: list[tuple[int, int]] = []
     unjoined: list[tuple[str, str]] = []
-    for tag_a, tag_b in _touching(tagged):
-        if frozenset((tag_a, tag_b)) in separated:
+    for pair in _touching(tagged):
+        if frozenset(pair) in separated:
             continue
-        labels_if_joined = _joined(label_of_tag, tag_a, tag_b)
-        joins_sides = False
-        for sides in separated:
-            side_labels = {labels_if_joined[tag] for tag in sides}
-            joins_sides |= len(side_labels) == 1
-        if joins_sides:
-            unjoined.append((region_of_tag[tag_a], region_of_tag[tag_b]))
+        label_if_joined = _labels(tagged, [*joined, pair])
+        if any(len({label_if_joined[tag] for tag in sides}) == 1 for sides in separated):
+            unjoined.append((region_of_tag[pair[0]], region_of_tag[pair[1]]))
         else:
-            label_of_tag = labels_if_joined
+            joined.append(pair)
+    label_of_tag = _labels(tagged, joined)
     labels = sorted(set(label_of_tag.values()))
     body_of_tag = np.full(max(region_of_tag) + 1, -1, dtype=np.int64)
     for tag, label in label_of_tag.items():
@@ -168,10 +160,12 @@ def _separated(tagged: TaggedMesh, interfaces: Sequence[Interface]) -> set[froze
     return pairs
 
 
-def _joined(label_of_tag: Mapping[int, int], tag_a: int, tag_b: int) -> dict[int, int]:
-    """Labels of all tags after the tags with the labels of two tags are joined."""
-    label_a, label_b = label_of_tag[tag_a], label_of_tag[tag_b]
-    return {tag: label_a if label == label_b else label for tag, label in label_of_tag.items()}
+def _labels(tagged: TaggedMesh, joined: Sequence[tuple[int, int]]) -> dict[int, int]:
+    """Label of each tag of a region; tags that pairs join have the same. Lower ones come first."""
+    tags = sorted(tagged.regions.values())
+    pairs = np.array(joined, dtype=np.int64).reshape(-1, 2)
+    labels = connected(tags[-1] + 1, pairs[:, 0], pairs[:, 1])
+    return {tag: int(labels[tag]) for tag in tags}
 
 
 def boundary_facets(tagged: TaggedMesh, boundary: str) -> FacetCells:
