@@ -24,6 +24,7 @@ from app.laws.values import gap_at
 from app.numerics.rigid_motions import add_relative, describe, rigid_modes
 from app.soundness.loose_bodies import FREE
 from app.system.layout import point_text
+from meshes.data import connected
 from meshes.pieces import MeshPieces, Piece, Touch
 
 # Contact without friction barely resists a motion if its mean slope against it is below this [deg].
@@ -59,13 +60,12 @@ def bodies_of(case: Case, parts: MeshPieces) -> list[list[int]]:
 
 def _groups(parts: MeshPieces, joined_pairs: list[tuple[int, int]]) -> list[list[int]]:
     """Pieces of each group. Pairs join pieces; pieces that share nodes are joined, too."""
-    groups = list(range(len(parts.pieces)))
-    for a, b in (*joined_pairs, *parts.joined):
-        groups = [groups[a] if group == groups[b] else group for group in groups]
-    return [
-        [piece for piece, group in enumerate(groups) if group == number]
-        for number in sorted(set(groups))
-    ]
+    pairs = np.array([*joined_pairs, *parts.joined], dtype=np.int64).reshape(-1, 2)
+    group_of_piece = connected(len(parts.pieces), pairs[:, 0], pairs[:, 1])
+    groups: list[list[int]] = [[] for _ in range(int(group_of_piece.max(initial=-1)) + 1)]
+    for piece, group in enumerate(group_of_piece):
+        groups[group].append(piece)
+    return groups
 
 
 def load_history_of(case: Case, values: Sequence[float] | None) -> tuple[float, ...]:
