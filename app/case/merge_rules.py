@@ -132,7 +132,9 @@ def _loads(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[ob
         message = f"the loads have a {TIME_KEYS[1]}, too; leave one of the two out"
         case.complaints.append(Fault((*path, TIME_KEYS[0]), message))
     for key in TIME_KEYS:
-        if isinstance(upper.get(key), list) or (key == "cycle_table" and key in upper):
+        # A mapping with the name `history` is a load.
+        is_load = key == "history" and isinstance(upper.get(key), dict | None)
+        if key in upper and not is_load:
             lower = loads = _loads_with_history(case, loads, key, upper[key])
             upper = _without_keys(upper, key)
     return lower, upper
@@ -162,6 +164,7 @@ def _activities(case: CaseFile, history_of_set: Mapping[str, object], path: Path
             forces = _scaled_loads(case, forces, {"body_weight": f"{weight!r} N"})
         for load, values in forces.items():
             loads[f"{name}_{load}"] = values | {"history": history}
+            case.common["loads", f"{name}_{load}", "history"] = (*path, "library", name)
     return loads
 
 

@@ -202,15 +202,17 @@ def _merged(case: CaseFile, lower: object, upper: object, path: Path) -> Any:
 
 
 def _place_in_time(case: CaseFile, given_places: Mapping[Path, Place]) -> None:
-    """Give the history or cycle table of each load the place of the common one, if given."""
+    """Note which loads have the common history or cycle table, and give these its place."""
+    given_values = {path[:3] for path in given_places}
     for key in TIME_KEYS:
-        place = given_places.get(("loads", key))
-        if place is None:
-            continue
+        common = ("loads", key)
         for name in case.data.get("loads") or {}:
             path = ("loads", name, key)
-            if path not in given_places:
-                case.places[path] = place
+            if path in given_values:
+                case.common.pop(path, None)
+            elif common in given_places:
+                case.places[path] = given_places[common]
+                case.common[path] = common
 
 
 # -------------------------------------------------------------------------------- overrides
@@ -223,6 +225,7 @@ def changed(case: CaseFile, overrides: Sequence[str]) -> CaseFile:
         data=deepcopy(case.data),
         places=dict(case.places),
         given=dict(case.given),
+        common=dict(case.common),
         measured=dict(case.measured),
         tissues=dict(case.tissues),
         notes=list(case.notes),

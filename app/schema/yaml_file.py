@@ -97,6 +97,7 @@ class CaseFile:
         digests: SHA-256 of the file, its bases and libraries, by name.
         libraries: Files of materials and loads by name, the newest last.
         tissues: Tissue of the library's material of each region that has one.
+        common: Path of the key of all loads that gave a load its value, by the path of the value.
         measured: Body weight [N], if it is known, and sagittal tilt [rad] of the loads, by key.
         option: Text before the key of an override in messages.
     """
@@ -110,6 +111,7 @@ class CaseFile:
     digests: dict[str, str] = field(default_factory=dict)
     libraries: list[CaseFile] = field(default_factory=list)
     tissues: dict[str, str] = field(default_factory=dict)
+    common: dict[Path, Path] = field(default_factory=dict)
     measured: dict[str, float] = field(default_factory=lambda: {"sagittal_tilt": 0.0})
     option: str = "--set "
 
@@ -154,11 +156,12 @@ class CaseFile:
         verdict = Verdict(printable(fault.text), cure=fault.cure, code=fault.code)
         if fault.place == "":
             return LAST, verdict
-        key = path_text(fault.path)
-        steps = (fault.path[:n] for n in range(len(fault.path) + 1))
+        path = self._given_path(fault.path)
+        key = path_text(path)
+        steps = (path[:n] for n in range(len(path) + 1))
         above = [self.places[p] for p in steps if p in self.places]
         place = fault.place or [(self.name, 1, 1), *above][-1]
-        kinds = [self.places.get((*p, "kind")) for p in (fault.path[:-1], fault.path)]
+        kinds = [self.places.get((*p, "kind")) for p in (path[:-1], path)]
         option = next((kind for kind in kinds if isinstance(kind, str)), None)
         if option and not isinstance(place, str):
             # An option changed the kind of a section of the file, whose other keys stay.
@@ -174,6 +177,13 @@ class CaseFile:
         order = [self.name, *self.digests].index(file)
         location = printable(f"{file}:{line}:{column}{of_key}")
         return (order, line, column), replace(verdict, where=location)
+
+    def _given_path(self, path: Path) -> Path:
+        """Path at which the file gives a value: that of the common key, if one gave it."""
+        for n in range(1, len(path) + 1):
+            if path[:n] in self.common:
+                return (*self.common[path[:n]], *path[n:])
+        return path
 
 
 def printable(text: str) -> str:

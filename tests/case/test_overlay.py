@@ -438,10 +438,69 @@ def test_library_history_of_all_loads(tmp_path: Path) -> None:
     assert {a.history for a in changed.values()} == {(0.25,)}
     case.write_text(f"base: stance\nloads:\n  history: [0, 1]\n{stages}")
     option = "loads={library: one_leg_stance, history: [0, 1]}"
-    with pytest.raises(InputError, match=r"--set loads: loads.hip.history: has 2 values"):
+    with pytest.raises(InputError, match=r"--set loads: loads.history: has 2 values"):
         load(CONFIGS / "stance.yaml", [option])
     with pytest.raises(InputError, match=r"two.yaml:3:3: .*history: has 2 values; expected 3"):
         mantle.load(case)
+
+
+@pytest.mark.parametrize(
+    ("loads", "overrides", "errors"),
+    [
+        ("{history: [0, x]}", (), ["case.yaml:2:22: loads.history[1]: 'x' is not a"]),
+        ("{history: x}", (), ["case.yaml:2:9: loads.history: 'x' is not a list"]),
+        ("{history: [0]}", (), ["case.yaml:2:9: loads.history: has 1 values; expected 2"]),
+        ("{cycle_table: {}}", (), ["case.yaml:2:9: loads.cycle_table: has too few rows"]),
+        (
+            "{library: {gait: [1, x], stairs_up: [0, 1]}}",
+            (),
+            ["case.yaml:2:29: loads.library.gait[1]: 'x' is not a number"],
+        ),
+        (
+            "{history: [0, x], hip: {history: [y, 1]}}",
+            (),
+            [
+                "case.yaml:2:22: loads.history[1]: 'x' is not a number",
+                "case.yaml:2:42: loads.hip.history[0]: 'y' is not a number",
+            ],
+        ),
+        ("{}", ("loads.history=[0, x]",), ["--set loads.history: loads.history[1]: 'x' is"]),
+        (
+            "{history: [0, 1]}",
+            ("loads.hip.history[1]=x",),
+            ["--set loads.hip.history[1]: 'x' is not a number"],
+        ),
+        (
+            "{}",
+            ("loads={library: one_leg_stance, history: [0, x], hip: {history: [y, 1]}}",),
+            [
+                "--set loads: loads.hip.history[0]: 'y' is not a number",
+                "--set loads: loads.history[1]: 'x' is not a number",
+            ],
+        ),
+    ],
+)
+def test_overlay_a_wrong_common_history_is_one_error(
+    loads: str, overrides: tuple[str, ...], errors: list[str], tmp_path: Path
+) -> None:
+    text = f"base: stance\nloads: {loads}\nstages: [{{name: rest}}, {{name: stand}}]\n"
+    texts = messages(write(tmp_path, case=text), *overrides)
+    assert len(texts) == len(errors)
+    for message, error in zip(texts, errors, strict=True):
+        assert message.startswith(error)
+
+
+def test_overlay_a_wrong_history_of_a_base_is_at_its_place(tmp_path: Path) -> None:
+    """A load's history that a common one replaces no longer has a place."""
+    base = "base: stance\nloads: {hip: {history: [0, 1]}}\nstages: [{name: a}, {name: b}]\n"
+    above = write(tmp_path, base=base, case="base: base.yaml\nloads: {history: [0, x]}\n")
+    (text,) = messages(above)
+    assert text.startswith("case.yaml:2:22: loads.history[1]: 'x' is not")
+    base = base.replace("hip: {history: [0, 1]}", "history: [0, x]")
+    case = "base: base.yaml\nloads: {hip: {history: [y, 1]}}\n"
+    texts = messages(write(tmp_path, base=base, case=case))
+    assert texts[0].startswith("case.yaml:2:25: loads.hip.history[0]: 'y' is not")
+    assert len(texts) == 2 and texts[1].startswith("base.yaml:2:22: loads.history[1]: 'x'")
 
 
 def test_library_cycle_table_of_all_loads(tmp_path: Path) -> None:
@@ -504,8 +563,8 @@ stages: [{name: walk}, {name: rest}, {name: stairs}]
     assert loads["stairs_up_hip"].status == "unverified"
     for wrong, words in (
         (text.replace("stairs_up:", "jogging:"), "'jogging' is not in the library; loads: paper"),
-        (text.replace("[0, 0, 1]", "[1]"), "loads.stairs_up_hip.history: has 1 values"),
-        (text.replace("[0, 0, 1]", "yes"), "loads.stairs_up_hip.history: "),
+        (text.replace("[0, 0, 1]", "[1]"), "loads.library.stairs_up: has 1 values"),
+        (text.replace("[0, 0, 1]", "yes"), "loads.library.stairs_up: "),
     ):
         with pytest.raises(InputError, match=re.escape(words)) as caught:
             loaded(tmp_path, wrong)
