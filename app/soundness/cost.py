@@ -42,6 +42,9 @@ BYTES = 10e9
 # Newton iterations of the first solve, from rest, and of a later one.
 FROM_REST = 12
 ITERATIONS = 5.5
+# Cycles after which friction has shaken down in hips. A state is then predicted exactly from the
+# cycles before, and its solve takes one iteration.
+SHAKEDOWN_CYCLES = 50
 # Seconds of setting up the matrices of condensed bodies, per unknown.
 CONDENSED_ASSEMBLY = 1.5e-5
 # Seconds of a time step of heat.
@@ -191,14 +194,20 @@ def _solution(case: Case, size: _Size, runs: int = 1) -> float:
     choice, condensed = _choice(case, size, runs)
     mechanical = PRICE * 3 * (size.nodes + size.jumps)
     loading = mechanical * (1.0 + LATER * max(0, load_steps + time_steps - 1))
-    loading += condensed_seconds(choice) if condensed else krylov_seconds(choice)
+    loading += (
+        condensed_seconds(choice, runs * repeated_solves(case))
+        if condensed
+        else krylov_seconds(choice)
+    )
     heating = time_steps * (TIME_STEP + HEAT * (size.temperatures + size.steps))
     errors = WITH_HEAT_ERRORS if time_steps else WITH_ERRORS
     return (loading + heating) * (errors if case.output.error else 1.0)
 
 
-def condensed_seconds(choice: SolverChoice) -> float:
+def condensed_seconds(choice: SolverChoice, repeated: float = 0.0) -> float:
     """Time of all contact solves with bodies condensed onto the jumps, on one core [s].
+
+    ``repeated`` of the solves repeat an earlier cycle (`repeated_solves`).
 
     In hips of 24,000 to 153,000 unknowns the operations of the factors are estimated to within a
     sixth, at 850,000 unknowns to within a third. Their entries are estimated to within a tenth.
@@ -210,7 +219,8 @@ def condensed_seconds(choice: SolverChoice) -> float:
     dense = (2 / 3) * (0.64 * m) ** 3 / SINGLE
     iteration = dense + (32 * m**2 + 8 * entries) / BYTES
     setup *= choice.solves if choice.changes_stiffness else 1
-    return setup + (FROM_REST + ITERATIONS * (choice.solves - 1)) * iteration
+    iterations = FROM_REST + ITERATIONS * (choice.solves - 1 - repeated) + repeated
+    return setup + iterations * iteration
 
 
 def krylov_seconds(choice: SolverChoice) -> float:
@@ -245,6 +255,19 @@ def solves(case: Case) -> tuple[int, int]:
     if _proportional(case):
         steps -= case.stages[0].increments - 1  # the others are proportional to the first
     return steps, time_steps
+
+
+def repeated_solves(case: Case) -> int:
+    """Estimated number of solves after friction has shaken down, without moving parts."""
+    if case.motions:
+        return 0
+    # Two solves in each cycle: at the peak and in the valley.
+    until_shakedown = 2 * SHAKEDOWN_CYCLES
+    return sum(
+        stage.increments * max(0, stage.load_segments - until_shakedown)
+        for stage in case.stages
+        if not stage.duration
+    )
 
 
 def contact_solves(case: Case) -> int:

@@ -26,6 +26,8 @@ MEASURED = {
     ("cure",): 42.5,
     ("thermal_100C",): 69.7,
     ("residual",): 220.0,
+    ("day",): 86.0,
+    ("walk",): 496.0,
     ("start/blocks",): 2.4,
     ("start/cylinders",): 3.9,
     ("start/femur",): 6.0,
@@ -37,6 +39,16 @@ def test_cost_times_are_within_a_factor_of_two(case: tuple[str, ...]) -> None:
     name, *changes = case
     seconds = cost.seconds(load(CONFIGS / f"{name}.yaml", changes).config)
     assert 0.5 < seconds / MEASURED[case] < 2
+
+
+def test_cost_cycles_after_shakedown_take_one_iteration() -> None:
+    """The time of a cycle falls after the first 50: `walk` has 2238 iterations in 1999 solves."""
+    cycles = (11, 51, 551, 1051)
+    short, shaken, long, longest = (
+        cost.seconds(load(CONFIGS / "walk.yaml", [f"stages[0].cycles={n}"]).config) for n in cycles
+    )
+    assert longest - long == pytest.approx(long - shaken)
+    assert (long - shaken) / 500 < 0.7 * (shaken - short) / 40
 
 
 def test_cost_time_is_printed_by_check() -> None:
