@@ -97,3 +97,9 @@ def test_demos_own_law() -> None:
     printed = support.python(DEMOS / "own_law.py", PYTHONPATH=str(support.ROOT)).stdout
     exact = 3 * (2 / 2000 + 1 / 50 + 2 / 1000)
     assert float(printed.split()[1]) == pytest.approx(exact, rel=1e-8)
+
+
+def test_demos_own_load() -> None:
+    """The resultant gamma b H^2 / 2 of 1e-3 N/mm^3, 10 mm and 20 mm."""
+    exact = 1e-3 * 10 * 20**2 / 2
+    assert numbers("own_load")["friction"] == pytest.approx(exact, rel=1e-9)
