@@ -63,8 +63,8 @@ UNCEMENTED: dict[str, Sides] = {"stem_bone": (("stem",), BONE)}
 COLLAR = "collar"  # region of a collar
 ON_CUT = "collar_bone"  # interface under it
 VOID = 5.0  # length without bone below a stem without cement (mm), by default
-# Further steps at edges along a stem from CAD: 2 to 9 in seven stems.
-EDGE_STEPS = 6
+# Further steps at edges along a stem from CAD: fits the cells of eight stems within 16 %.
+EDGE_STEPS = 8
 INSIDE = 2.0 / 3.0  # least fraction of the stem in the bone
 HALF_TIP = 10.0  # mm that a stem's end reaches from its axis, at most
 
