@@ -326,6 +326,7 @@ class CadStem:
             turns, equal = self._cached_lines(height, slope, 0.0)[1][:RAYS], positions(x)
             after_collar = max(0.0, fraction - self._collar_end) / (1.0 - self._collar_end)
             to_equal = (equal - turns + 0.5) % 1.0 - 0.5
+            # The square root turns lines early: in proportion they invert cells of a hollow neck.
             return x, turns + np.sqrt(after_collar) * to_equal
         knots = self._corner_lines.knots(x) if self._corner_lines else None
         if knots:

@@ -172,7 +172,7 @@ class Patient(OperatedHip):
                     fail(str(error), at=(part_name,))
             key, _, message = str(error).removeprefix("geometry.").partition(": ")
             fail(message, at=tuple(key.split(".")))
-        lowest_z = float(self.femur.surface.points[:, 2].min())
+        lowest_z = self.femur.lowest
         plug_z = float(placement.to_model([0.0, 0.0, implant.plug])[2])
         level = self.distal_cut_z
         if level is None:

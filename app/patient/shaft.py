@@ -16,6 +16,7 @@ from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
 from app.patient import welding
 from app.patient.bone_surface import BoneSurface
+from app.patient.measured_layers import LEAST_CORTEX, THETA
 from meshes.data import connected
 from meshes.femur_bone import CANAL
 from meshes.femur_stem import unit
@@ -35,11 +36,6 @@ SECTION_STEP = 2.5
 ROW_LENGTH = 10.0
 # Largest distance of a flat end's corners from its plane [mm].
 FLATNESS = 1.0
-# Least cortex of a continued shaft [mm].
-LEAST_CORTEX = 1.5
-# Directions around the last section.
-WALL_ANGLES = 96
-THETA = 2 * np.pi * np.arange(WALL_ANGLES) / WALL_ANGLES
 # Parts of lateral, medial and antero-posterior half-width in the mean one [-].
 HALF_WIDTHS = (0.25, 0.25, 0.5)
 # Level of the parametric femur's isthmus [mm].
@@ -150,7 +146,7 @@ class CanalWidth:
         adapted: Factor to that width from `ADAPTATION_LENGTH` below the end on [-].
         isthmus: Mean width of the canal where it is narrowest [mm].
         is_assumed: True if the scan ends above the isthmus.
-        wall: Radii of canal and bone at the end (2, `WALL_ANGLES`) [mm].
+        wall: Radii of canal and bone at the end in the directions `THETA` (2, n) [mm].
     """
 
     narrowing: Narrowing
@@ -161,8 +157,8 @@ class CanalWidth:
 
     def __call__(self, z: Floats) -> Floats:
         """Return the width at levels [-]."""
-        adapted_part = np.clip((self.narrowing.end - z) / ADAPTATION_LENGTH, 0.0, 1.0)
-        return np.asarray(self.narrowing(z) * (1.0 + adapted_part * (self.adapted - 1.0)))
+        adapted_fraction = np.clip((self.narrowing.end - z) / ADAPTATION_LENGTH, 0.0, 1.0)
+        return np.asarray(self.narrowing(z) * (1.0 + adapted_fraction * (self.adapted - 1.0)))
 
 
 Width = Callable[[Floats], Floats]
@@ -237,13 +233,15 @@ class Continuation:
             canal_at_end, bone_at_end = (
                 np.interp(theta, THETA, radii, period=2 * np.pi) for radii in self.canal.wall
             )
-            canal_width = self.canal(z[:, 0])
-            inner, outer = canal_width * canal_at_end, bone_width * bone_at_end
-            # Points of the wall stay at the same part of its thickness.
-            thickness_part = (r - inner) / (outer - inner)
-            r_in_wall = canal_at_end + thickness_part * (bone_at_end - canal_at_end)
+            width_of_canal = self.canal(z[:, 0])
+            inner, outer = width_of_canal * canal_at_end, bone_width * bone_at_end
+            # Points of the wall stay at the same fraction of its thickness.
+            thickness_fraction = (r - inner) / (outer - inner)
+            r_in_wall = canal_at_end + thickness_fraction * (bone_at_end - canal_at_end)
             is_in_wall = r > inner
-            scale = np.where(is_in_wall, r_in_wall / np.where(is_in_wall, r, 1.0), 1 / canal_width)
+            scale = np.where(
+                is_in_wall, r_in_wall / np.where(is_in_wall, r, 1.0), 1 / width_of_canal
+            )
         return np.column_stack(
             [self.centre + scale[:, None] * offset, np.maximum(x[:, 2:], self.end)]
         )
@@ -259,9 +257,9 @@ def canal_width(
 ) -> CanalWidth:
     """Return the width of a canal below the end of a scan.
 
-    The width of a canal in the metaphysis tells little about that at the isthmus. The more of the
-    shaft between its top and `CONE_END` is measured, the more the ratio of canal and bone at the
-    end counts against that of the parametric femur.
+    A canal's width in the metaphysis is a poor estimate of its width at the isthmus. The more of
+    the shaft between its top and `CONE_END` is measured, the more the ratio of canal and bone at
+    the end counts against that of the parametric femur.
 
     Args:
         bone: The bone, in the model's axes.
@@ -284,8 +282,8 @@ def canal_width(
         float(narrowing.half_width(end)) for narrowing in (outer, inner)
     )
     excess = (width_at_end / bone_width) / (parametric_canal / parametric_bone)
-    measured_part = float(np.clip((shaft_top - end) / (shaft_top - CONE_END * size), 0.0, 1.0))
-    adapted = (1.0 + measured_part * (excess - 1.0)) / excess
+    measured_fraction = float(np.clip((shaft_top - end) / (shaft_top - CONE_END * size), 0.0, 1.0))
+    adapted = (1.0 + measured_fraction * (excess - 1.0)) / excess
     narrowed_width = width_at_end * float(inner(isthmus_level))
     is_assumed = end > ISTHMUS * size
     if isthmus is not None and is_assumed:
