@@ -129,7 +129,10 @@ def _unknown(
     known_names = tuple(known_names)
     allowed = f"it has {', '.join(known_names)}" if known_names else "it has none"
     message = f"the geometry ({owner}) has no {kind_name} '{name}'; {allowed}"
-    return Fault(path, message + did_you_mean(name, known_names))
+    advice = did_you_mean(name, known_names)
+    if not advice and (owner, kind_name) == ("file", "interface"):
+        advice = f"; declare it: geometry: {{interfaces: {{{name}: [REGION, REGION]}}}}"
+    return Fault(path, message + advice)
 
 
 def _valid(entries: Mapping[str, T | None] | None) -> Iterator[tuple[str, T]]:

@@ -72,6 +72,7 @@ def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
         GeometryError: It cannot be meshed.
         EnvironmentProblem: A package for meshing is missing.
     """
+    _refuse_path(case)
     memory.check(case.file, case.config)
     size = cost.estimated_size(case.config, memory.available())
     notes = [*case.file.notes, *preview.warnings(case.config)]
@@ -101,6 +102,7 @@ def mesh(case: LoadedCase) -> MeshData:
         GeometryError: The geometry cannot be built, or its mesh is not good enough.
         EnvironmentProblem: A package for meshing is missing.
     """
+    _refuse_path(case)
     memory.check(case.file, case.config)
     with stack_needed(petsc=False):
         import gmsh  # noqa: F401  (only to report early that it is missing)
@@ -146,6 +148,7 @@ def run(
         StoppedError: By a signal, ``walltime`` or a full disk; the state is saved in the folder.
         EnvironmentProblem: A package, a compiler or MPI is missing or unusable.
     """
+    _refuse_path(case)
     if isinstance(case, Mapping):
         if mesh is None or output is None:
             raise InputError(
@@ -198,6 +201,12 @@ def read(folder: str | os.PathLike[str]) -> Results:
     with stack_needed():
         from app.results.reading import Results
     return Results(path)
+
+
+def _refuse_path(case: object) -> None:
+    """Name `load` to those who give the path of a case."""
+    if isinstance(case, str | os.PathLike):
+        raise InputError(f"expected a case, not its path; use mantle.load({str(case)!r})")
 
 
 def _report(case: LoadedCase, folder: Path, comm: MPI.Comm | None) -> None:

@@ -92,6 +92,10 @@ def test_given_mesh_is_gathered_as_it_was_distributed() -> None:
         ),
         ({"geometry": {"interfaces": {"joint": ["lower", "top"]}}}, "box.yaml:.*'top' is not"),
         ({"loads": {}, "suports": {}}, "box.yaml:.* suports: unknown key"),
+        (
+            {"geometry": {}},
+            "has no interface 'joint'; it has none; declare it: geometry: {interfaces: {joint: ",
+        ),
     ],
 )
 def test_given_mesh_refuses(change: dict[str, Any], words: str, tmp_path: Path) -> None:
