@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from app.foundation.arrays import Floats, Ints
+from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import GeometryError
 from app.patient import label_surface, surface_files, welding
 from app.patient.welding import Welded
@@ -134,91 +134,133 @@ def read(
     return replace(checked, borders=body.borders, doubts=(*body.doubts, *checked.doubts))
 
 
+@dataclass(frozen=True)
+class _Edges:
+    """Edges of a surface. A half edge is a side of a triangle; an edge has one or more of them.
+
+    Attributes:
+        half_edges: Ends of the half edges (3 m, 2), three for each triangle.
+        first: One half edge of each edge (k,).
+        counts: Number of half edges of each edge (k,).
+        pairs: Both half edges of the edges that have two (2, l).
+    """
+
+    half_edges: Ints
+    first: Ints
+    counts: Ints
+    pairs: Ints
+
+    @classmethod
+    def of(cls, triangles: Ints, point_count: int) -> _Edges:
+        """Edges of triangles (m, 3)."""
+        half_edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+        keys = np.sort(half_edges, axis=1) @ [point_count, 1]
+        order = np.argsort(keys, kind="stable")
+        starts = np.flatnonzero(np.diff(keys[order], prepend=-1))
+        counts = np.diff(starts, append=len(keys))
+        paired = starts[counts == 2]
+        return cls(half_edges, order[starts], counts, np.stack([order[paired], order[paired + 1]]))
+
+    @property
+    def neighbours(self) -> Ints:
+        """Triangles on both sides of the edges that have two (2, l)."""
+        return self.pairs // 3
+
+    @property
+    def are_followed_backwards(self) -> Bools:
+        """True for pairs whose triangles have the same orientation (l,)."""
+        is_ascending = (self.half_edges[:, 0] < self.half_edges[:, 1])[self.pairs]
+        return is_ascending[0] != is_ascending[1]
+
+
 def _checked(path: Path, surface: Welded, notes: list[str], thinned: bool) -> BoneSurface:
     """The surface turned outwards; refused if it is open on a side, or not of one body.
 
     Thinning leaves edges of four triangles and small bodies; open edges stay as they are.
     """
     x, triangles = surface.points, surface.triangles
-    n, m = len(x), len(triangles)
-    edge_ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    edge_keys = np.sort(edge_ends, axis=1) @ [n, 1]
-    order = np.argsort(edge_keys, kind="stable")
-    first_of_edge = np.flatnonzero(np.diff(edge_keys[order], prepend=-1))
-    edge_counts = np.diff(first_of_edge, append=3 * m)
-    pairs = np.stack(
-        [order[first_of_edge[edge_counts == 2]], order[first_of_edge[edge_counts == 2] + 1]]
-    )
-    first_triangle, second_triangle = pairs // 3
-    body_of_triangle = connected(m, first_triangle, second_triangle)
-    sizes = np.bincount(body_of_triangle)
-    if 2 * int((edge_counts == 1).sum()) > len(edge_counts):
-        details = (
-            f"{int((edge_counts == 1).sum()):,} of {len(edge_counts):,} edges belong"
-            " to one triangle only"
-        )
-        details += f", and their corners are {welding.apart(surface):.2g} mm from the next"
-        remedy = "merge close vertices in the program that wrote it"
-        raise GeometryError(f"{path}: its triangles are not joined: {details}; {remedy}")
-    if len(sizes) > 1 and not thinned:
-        largest_bodies = np.argsort(sizes)[:-3:-1]
-        largest, second_largest = (
-            x[triangles[body_of_triangle == body]] for body in largest_bodies
-        )
-        nested = _contains(largest, second_largest) or _contains(second_largest, largest)
-        details = ", one inside the other, like bone and canal" if nested else ""
-        details += (
-            f"; the largest have {len(largest):,} and {len(second_largest):,} triangles, the"
-            " second is"
-        )
-        remedy = "keep the femur alone"
-        if nested:
-            remedy = "keep the bone, and give the canal as a separate file (geometry.canal)"
-        raise GeometryError(
-            f"{path}: has {len(sizes)} bodies{details} at {mean_point_text(second_largest)};"
-            f" {remedy}"
-        )
-    open_edges = first_of_edge[edge_counts % 2 == 1] if thinned else first_of_edge[edge_counts != 2]
-    edges = x[edge_ends[order[open_edges]]]
-    axis = np.linalg.svd(x[:: 1 + n // 20_000] - x.mean(axis=0), full_matrices=False)[2][0]
-    axial, edge_axial = x @ axis, edges.mean(axis=1) @ axis
-    is_aside = np.minimum(edge_axial - axial.min(), axial.max() - edge_axial) > RIM_DISTANCE
+    edges = _Edges.of(triangles, len(x))
+    if 2 * int((edges.counts == 1).sum()) > len(edges.counts):
+        raise GeometryError(f"{path}: its triangles are not joined: {_unjoined(surface, edges)}")
+    body_of_triangle = connected(len(triangles), *edges.neighbours)
+    if body_of_triangle.any() and not thinned:
+        raise GeometryError(f"{path}: has {_several_bodies(x[triangles], body_of_triangle)}")
+    is_open = edges.counts % 2 == 1 if thinned else edges.counts != 2
+    open_ends = edges.half_edges[edges.first[is_open]]
+    is_aside = _are_aside(x, x[open_ends])
     if is_aside.any():
-        most_triangles = int(edge_counts[edge_counts != 2].max())
+        most_triangles = int(edges.counts[edges.counts != 2].max())
         fault = (
             "is open" if most_triangles == 1 else f"has edges of up to {most_triangles} triangles"
         )
-        spike_place = (
-            f"{mean_point_text(edges[is_aside])} ({int(is_aside.sum())} edges), not at an end"
-        )
+        place = f"{mean_point_text(x[open_ends][is_aside])} ({int(is_aside.sum())} edges)"
         raise GeometryError(
-            f"{path}: {fault} at {spike_place}; repair it in the program that wrote it"
+            f"{path}: {fault} at {place}, not at an end; repair it in the program that wrote it"
         )
-    if len(open_edges):
-        notes.append(f"open at an end: {len(open_edges)} edges")
+    if len(open_ends):
+        notes.append(f"open at an end: {len(open_ends)} edges")
     if not thinned:
-        # Two sheets, one of each triangle turned over: neighbours that disagree cross from one to
-        # the other.
-        sheet_offset = m * (np.diff((edge_ends[:, 0] < edge_ends[:, 1])[pairs], axis=0)[0] == 0)
-        sheet_links = (
-            np.r_[first_triangle, first_triangle + m],
-            np.r_[second_triangle + sheet_offset, second_triangle + m - sheet_offset],
-        )
-        sheet = connected(2 * m, *sheet_links)
-        flipped = sheet[:m] != sheet[0]
-        turned_count = min(int(flipped.sum()), m - int(flipped.sum()))
+        triangles, turned_count = _turned_alike(triangles, edges)
         if turned_count:
             notes.append(f"{turned_count} triangles with the wrong orientation turned over")
-        triangles = np.where(flipped[:, None], triangles[:, ::-1], triangles)
-    rim = edges.mean(axis=1)
     return BoneSurface(
         x,
         outward(x, triangles),
         tuple(notes),
-        rim,
-        (),
-        tuple(_spikes(x, edge_ends, edge_ends[order[open_edges]])),
+        rim=x[open_ends].mean(axis=1),
+        doubts=tuple(_spikes(x, edges.half_edges, open_ends)),
     )
+
+
+def _unjoined(surface: Welded, edges: _Edges) -> str:
+    """How far the corners of triangles without neighbours are from each other, and what to do."""
+    single_count = int((edges.counts == 1).sum())
+    return (
+        f"{single_count:,} of {len(edges.counts):,} edges belong to one triangle only, and their"
+        f" corners are {welding.apart(surface):.2g} mm from the next; merge close vertices in the"
+        " program that wrote it"
+    )
+
+
+def _several_bodies(corners: Floats, body_of_triangle: Ints) -> str:
+    """The bodies of triangles (m, 3, 3) [mm], and which of them to keep."""
+    sizes = np.bincount(body_of_triangle)
+    largest, second = (
+        corners[body_of_triangle == body] for body in np.argsort(sizes, kind="stable")[:-3:-1]
+    )
+    nested = _contains(largest, second) or _contains(second, largest)
+    arrangement, remedy = "", "keep the femur alone"
+    if nested:
+        arrangement = ", one inside the other, like bone and canal"
+        remedy = "keep the bone, and give the canal as a separate file (geometry.canal)"
+    return (
+        f"{len(sizes)} bodies{arrangement}; the largest have {len(largest):,} and"
+        f" {len(second):,} triangles, the second is at {mean_point_text(second)}; {remedy}"
+    )
+
+
+def _are_aside(x: Floats, open_edges: Floats) -> Bools:
+    """True for edges (k, 2, 3) not at an end of the points (n, 3) along their long axis (k,)."""
+    axis = np.linalg.svd(x[:: 1 + len(x) // 20_000] - x.mean(axis=0), full_matrices=False)[2][0]
+    axial, edge_axial = x @ axis, open_edges.mean(axis=1) @ axis
+    return np.minimum(edge_axial - axial.min(), axial.max() - edge_axial) > RIM_DISTANCE
+
+
+def _turned_alike(triangles: Ints, edges: _Edges) -> tuple[Ints, int]:
+    """Triangles of one body turned so that neighbours agree (m, 3), and how many were turned.
+
+    Each triangle has two copies, as it is and turned over. Neighbours of the same orientation join
+    copies of the same kind, others a copy of each kind. The copies joined to the first triangle
+    then agree.
+    """
+    m = len(triangles)
+    first, second = edges.neighbours
+    other_kind = m * ~edges.are_followed_backwards
+    joined_copies = np.r_[second + other_kind, second + m - other_kind]
+    copy = connected(2 * m, np.r_[first, first + m], joined_copies)
+    is_turned = copy[:m] != copy[0]
+    turned_count = min(int(is_turned.sum()), m - int(is_turned.sum()))
+    return np.where(is_turned[:, None], triangles[:, ::-1], triangles), turned_count
 
 
 def _spikes(x: Floats, edge_ends: Ints, open_ends: Ints) -> Iterator[str]:
