@@ -17,7 +17,7 @@ from ufl import as_ufl, diff, variable
 from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.core.expr import Expr
 
-from app.foundation.arrays import Floats, Ints
+from app.foundation.arrays import Bools, Floats, Ints
 from app.heat.heat_forms import HeatForms
 from app.laws.cure import Autocatalytic, Cure, Prescribed
 from app.laws.values import multiplier
@@ -135,117 +135,140 @@ class AutocatalyticKinetics:
         def rates(rows: Ints, reacted: Floats) -> list[Floats]:
             return self._laws(rows, a=start[rows] + reacted, T=T[rows])[:3]
 
-        rows = np.flatnonzero(limit - start > UNREACTED)
-        remaining_degree = limit[rows] - start[rows]
-        mean_rate = self._mean_rate[rows] + self._rate_by_temperature[rows] * (
-            T[rows] - self._temperature[rows]
-        )
-        remaining_fraction = np.where(
-            self._mean_rate[rows] > 0, h * mean_rate / remaining_degree, 0.0
-        )
-        lower = np.full(len(rows), _LOWEST_LOG)
-        upper: Floats = np.log((remaining_degree - UNREACTED) / UNREACTED)
-        # The ends are evaluated first where the last step says too little.
-        unbracketed = np.flatnonzero(
-            ~(
-                (remaining_fraction > _LOWEST_SHARE)
-                & (remaining_fraction < _HIGHEST_SHARE)
-                & (start[rows] > 0)
-            )
-        )
-        if len(unbracketed):
-            rate_at_start = rates(rows[unbracketed], np.zeros(len(unbracketed)))[0]
-            rate_at_limit = rates(rows[unbracketed], remaining_degree[unbracketed] - UNREACTED)[0]
-            # Rates in between are at least the lower of the two at the ends.
-            lowest_share = (
-                h * np.minimum(rate_at_start, rate_at_limit) / remaining_degree[unbracketed]
-            )
-            lower[unbracketed] = np.log(np.maximum(lowest_share, _SMALLEST_SHARE)) - 1.0
-            remaining_fraction[unbracketed] = np.where(
-                remaining_fraction[unbracketed] > 0,
-                remaining_fraction[unbracketed],
-                h * rate_at_start / remaining_degree[unbracketed],
-            )
-            reaches_limit = h * rate_at_limit >= remaining_degree[unbracketed] - UNREACTED
-            finished_rows = rows[unbracketed[reaches_limit & (rate_at_start > 0)]]
-            degree[finished_rows], by_T[finished_rows] = (
-                limit[finished_rows] - UNREACTED,
-                limit_by_T[finished_rows],
-            )
-            still_reacts = np.ones(len(rows), dtype=bool)
-            still_reacts[unbracketed[reaches_limit | ~(rate_at_start > 0)]] = False
-            rows, remaining_degree, remaining_fraction = (
-                rows[still_reacts],
-                remaining_degree[still_reacts],
-                remaining_fraction[still_reacts],
-            )
-            lower, upper = lower[still_reacts], upper[still_reacts]
-        reacted, f, f_a, f_T = self._react(
-            rows, remaining_degree, remaining_fraction, lower, upper, h, rates
-        )
+        sought = self._sought(start, limit, T, h)
+        sought, finished = _bracketed(sought, start, h, rates)
+        degree[finished], by_T[finished] = limit[finished] - UNREACTED, limit_by_T[finished]
+        rows = sought.rows
+        reacted, f, f_a, f_T = _reacted(sought, h, rates)
         degree[rows] = start[rows] + reacted
         with np.errstate(divide="ignore", invalid="ignore"):
             # The step itself, or the rest of it where the reaction has ended before.
             reaction_time = np.fmin(h, reacted / f)
             slope = reaction_time * f_T / (1 - reaction_time * f_a)
         by_T[rows] = np.where(np.isfinite(slope), slope, 0.0)
-        self._mean_rate[:], self._temperature[:], self._rate_by_temperature[:] = (
-            (degree - start) / h,
-            T,
-            by_T / h,
-        )
+        self._mean_rate[:] = (degree - start) / h
+        self._temperature[:] = T
+        self._rate_by_temperature[:] = by_T / h
         return Degrees(degree, by_T)
 
-    @staticmethod
-    def _react(
-        rows: Ints,
-        remaining: Floats,
-        share: Floats,
-        lower: Floats,
-        upper: Floats,
-        h: float,
-        rates: Callable[[Ints, Floats], list[Floats]],
-    ) -> tuple[Floats, Floats, Floats, Floats]:
-        r"""Reacted part at some nodes, with the rate and its derivatives by degree and temperature.
+    def _sought(self, start: Floats, limit: Floats, T: Floats, h: float) -> _SoughtShares:
+        """Nodes that can still react, with the shares that the rates of the last step give."""
+        rows = np.flatnonzero(limit - start > UNREACTED)
+        remaining = limit[rows] - start[rows]
+        warming = T[rows] - self._temperature[rows]
+        mean_rate = self._mean_rate[rows] + self._rate_by_temperature[rows] * warming
+        return _SoughtShares(
+            rows,
+            remaining,
+            share=np.where(self._mean_rate[rows] > 0, h * mean_rate / remaining, 0.0),
+            lower=np.full(len(rows), _LOWEST_LOG),
+            upper=np.log((remaining - UNREACTED) / UNREACTED),
+        )
 
-        Newton's method solves ln(a - a*) - ln(h f) = 0 between bounds, with the unknown s:
 
-        .. math:: a = a^* + (a_{max} - a^*) / (1 + e^{-s}) .
+@dataclass
+class _SoughtShares:
+    """Nodes whose reacted share of the remaining part is sought, each array (r,).
 
-        The function is nearly linear in s at both ends. For m <= 1 it increases, so that there is
-        one root. For m > 1 a long step may have several; one of them is returned.
-        """
+    The unknown of a share p is ln(p / (1 - p)).
+
+    Attributes:
+        rows: The nodes.
+        remaining: Degree of cure that is left to the limit.
+        share: First guess; 0 where there is none.
+        lower: Lower bound of the unknown.
+        upper: Upper bound of the unknown.
+    """
+
+    rows: Ints
+    remaining: Floats
+    share: Floats
+    lower: Floats
+    upper: Floats
+
+    def part(self, taken: Bools) -> _SoughtShares:
+        """Some of the nodes."""
+        return _SoughtShares(
+            self.rows[taken],
+            self.remaining[taken],
+            self.share[taken],
+            self.lower[taken],
+            self.upper[taken],
+        )
+
+
+# Rate and its derivatives by degree and temperature at nodes, for the degree that reacted there.
+_Rates = Callable[[Ints, Floats], list[Floats]]
+
+
+def _bracketed(
+    sought: _SoughtShares, start: Floats, h: float, rates: _Rates
+) -> tuple[_SoughtShares, Ints]:
+    """Evaluate rates at the ends of the interval where the last step says too little.
+
+    Returns:
+        The nodes with a share between the ends, with better bounds and guesses, and the nodes that
+        reach their limit within the step h [s].
+    """
+    is_known = (sought.share > _LOWEST_SHARE) & (sought.share < _HIGHEST_SHARE)
+    unknown = np.flatnonzero(~(is_known & (start[sought.rows] > 0)))
+    if not len(unknown):
+        return sought, unknown
+    rows, remaining = sought.rows[unknown], sought.remaining[unknown]
+    rate_at_start = rates(rows, np.zeros(len(rows)))[0]
+    rate_at_limit = rates(rows, remaining - UNREACTED)[0]
+    # Rates in between are at least the lower of the two at the ends.
+    lowest_share = h * np.minimum(rate_at_start, rate_at_limit) / remaining
+    sought.lower[unknown] = np.log(np.maximum(lowest_share, _SMALLEST_SHARE)) - 1.0
+    guess = sought.share[unknown]
+    sought.share[unknown] = np.where(guess > 0, guess, h * rate_at_start / remaining)
+    starts = rate_at_start > 0
+    reaches_limit = h * rate_at_limit >= remaining - UNREACTED
+    is_between = np.ones(len(sought.rows), dtype=bool)
+    is_between[unknown[reaches_limit | ~starts]] = False
+    return sought.part(is_between), rows[reaches_limit & starts]
+
+
+def _reacted(
+    sought: _SoughtShares, h: float, rates: _Rates
+) -> tuple[Floats, Floats, Floats, Floats]:
+    r"""Degree that reacts at nodes, with the rate and its derivatives by degree and temperature.
+
+    Newton's method solves ln(a - a*) - ln(h f) = 0 between bounds, with the unknown s:
+
+    .. math:: a = a^* + (a_{max} - a^*) / (1 + e^{-s}) .
+
+    The function is nearly linear in s at both ends. For m <= 1 it increases, so that there is
+    one root. For m > 1 a long step may have several; one of them is returned.
+    """
+    lower, upper = sought.lower.copy(), sought.upper.copy()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        unknown = np.log(sought.share) - np.log1p(-sought.share)
+    at_rows = np.zeros((3, len(unknown)))
+    unconverged = np.arange(len(unknown))
+    for _ in range(_ITERATIONS):
+        if not len(unconverged):
+            break
+        lower_bound, upper_bound = lower[unconverged], upper[unconverged]
+        trial = unknown[unconverged]
+        is_within = (trial > lower_bound) & (trial < upper_bound)
+        trial = np.where(is_within, trial, (lower_bound + upper_bound) / 2)
+        share = _logistic(trial)
+        reacted = sought.remaining[unconverged] * share
+        f, f_a, f_T = rates(sought.rows[unconverged], reacted)
+        at_rows[:, unconverged] = f, f_a, f_T
         with np.errstate(divide="ignore", invalid="ignore"):
-            unknown = np.log(share) - np.log1p(-share)
-        at_rows = np.zeros((3, len(rows)))
-        unconverged = np.arange(len(rows))
-        for _ in range(_ITERATIONS):
-            if not len(unconverged):
-                break
-            trial = unknown[unconverged]
-            lower_bound = lower[unconverged]
-            upper_bound = upper[unconverged]
-            trial = np.where(
-                (trial > lower_bound) & (trial < upper_bound),
-                trial,
-                (lower_bound + upper_bound) / 2,
-            )
-            share = _logistic(trial)
-            reacted = remaining[unconverged] * share
-            f, f_a, f_T = rates(rows[unconverged], reacted)
-            at_rows[:, unconverged] = f, f_a, f_T
-            with np.errstate(divide="ignore", invalid="ignore"):
-                value = np.log(reacted / (h * f))
-                slope = (1 - share) * (1 - reacted * f_a / f)
-                step = np.where(slope > 0, -value / slope, np.inf)
-            lower[unconverged] = np.where(value > 0, lower_bound, trial)
-            upper[unconverged] = np.where(value > 0, trial, upper_bound)
-            unknown[unconverged] = trial + step
-            is_unconverged = ~(np.abs(step) <= _LOG_TOLERANCE) & (
-                upper[unconverged] - lower[unconverged] > _LOG_TOLERANCE
-            )
-            unconverged = unconverged[is_unconverged]
-        return remaining * _logistic(np.clip(unknown, lower, upper)), *at_rows
+            value = np.log(reacted / (h * f))
+            slope = (1 - share) * (1 - reacted * f_a / f)
+            step = np.where(slope > 0, -value / slope, np.inf)
+        lower[unconverged] = np.where(value > 0, lower_bound, trial)
+        upper[unconverged] = np.where(value > 0, trial, upper_bound)
+        unknown[unconverged] = trial + step
+        is_unconverged = ~(np.abs(step) <= _LOG_TOLERANCE) & (
+            upper[unconverged] - lower[unconverged] > _LOG_TOLERANCE
+        )
+        unconverged = unconverged[is_unconverged]
+    return sought.remaining * _logistic(np.clip(unknown, lower, upper)), *at_rows
 
 
 Kinetics = AutocatalyticKinetics | PrescribedKinetics
