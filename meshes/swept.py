@@ -8,6 +8,7 @@ which a layer ends. (gmsh would split prisms into flat cells there.)
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -188,52 +189,88 @@ def _split(surfaces: LayeredSurfaces, body: ReferenceBody, number: Ints) -> tupl
     return tetrahedra[kept_rows], kept_rows // 3
 
 
+@dataclass(frozen=True)
+class _Layers:
+    """Division of the lines from stem to bone surface, at each line and station.
+
+    Attributes:
+        gap: Distance of the endosteum from the stem (lines, stations) [mm].
+        floor: Least thickness of the layer within the endosteum [mm].
+        merged: True where this layer has no thickness.
+        rho: Layer coordinate of each column of a line (columns, lines, stations).
+        representative: Column whose node is that of each column; another one where cells across
+            are left out, or where a layer has no thickness.
+    """
+
+    gap: Floats
+    floor: Floats
+    merged: Bools
+    rho: Floats
+    representative: Ints
+
+    @classmethod
+    def of(cls, surfaces: LayeredSurfaces, per_line: int) -> _Layers:
+        """The layers with a number of columns on each line."""
+        levels = sum(segment.steps for segment in surfaces.segments) + 1
+        shape = surfaces.around, levels
+        turns, stations = np.arange(surfaces.around) / surfaces.around, np.arange(levels)
+        phi, s = np.meshgrid(turns, stations.astype(float), indexing="ij")
+        lines = surfaces.lines(phi.ravel(), s.ravel())
+        endosteal_points = lines.start + lines.endosteum[:, None] * (lines.end - lines.start)
+        gap = lines.gap.reshape(shape)
+        floor = _floor(surfaces, endosteal_points.reshape(*shape, 3))
+        merged = gap < floor
+        # Below and above the mantle its first and its last section go on. Without cement the canal
+        # is open below.
+        first_section, last_section = surfaces.mantle
+        if surfaces.first == 1:
+            merged[:, :first_section] = merged[:, first_section : first_section + 1]
+        merged[:, last_section + 1 :] = merged[:, last_section : last_section + 1]
+        thickness = np.where(merged, 0.0, np.maximum(gap, floor))
+        length, endosteum = lines.length.reshape(shape), lines.endosteum.reshape(shape)
+        widths = endosteum * length - thickness, thickness, (1 - endosteum) * length
+        rho, representative = cls._divided(surfaces, widths[surfaces.first - 1 :], per_line)
+        within_endosteum = (rho >= 2) & (rho < 3)
+        representative[within_endosteum & merged] = sum(surfaces.through[:-1])
+        return cls(gap, floor, merged, rho, representative)
+
+    @staticmethod
+    def _divided(
+        surfaces: LayeredSurfaces, widths: Sequence[Floats], per_line: int
+    ) -> tuple[Floats, Ints]:
+        """Layer coordinates and representatives; fewer cells across where they would be flat.
+
+        ``widths`` are those of the layers [mm], inside first.
+        """
+        shape = widths[0].shape
+        first_section, last_section = surfaces.mantle
+        height_fraction = np.clip(
+            (np.arange(shape[1]) - first_section) / (last_section - first_section), 0.0, 1.0 - 1e-9
+        )
+        most_cells: list[Floats | int] = [*surfaces.through]
+        if surfaces.first == 1:
+            most_cells[0] = np.floor(surfaces.cement + height_fraction)
+        rho = np.full((per_line, *shape), float(surfaces.first))
+        representative = np.zeros((per_line, *shape), dtype=np.int64)
+        first_column = 0
+        least_cells = surfaces.mesh.least_through[surfaces.first - 1 :]
+        layers = zip(surfaces.through, widths, least_cells, most_cells, strict=True)
+        for ring, (cells, width, least_cell, limit) in enumerate(layers, start=surfaces.first):
+            across = np.clip(np.round(width / least_cell), 1, limit)
+            for k in range(1, cells + 1):
+                rho[first_column + k] = ring + np.minimum(k / across, 1.0)
+                representative[first_column + k] = np.where(
+                    k < across, first_column + k, first_column + cells
+                )
+            first_column += cells
+        return rho, representative
+
+
 def _grid(surfaces: LayeredSurfaces, body: ReferenceBody) -> tuple[Nodes, Ints]:
     """Nodes of all columns at all stations, and the number of the representative of each."""
     around, per_line, column_count = surfaces.around, len(body.rho), len(body.section)
-    levels = sum(segment.steps for segment in surfaces.segments) + 1
-    phi, s = np.meshgrid(np.arange(around) / around, np.arange(levels, dtype=float), indexing="ij")
-    lines = surfaces.lines(phi.ravel(), s.ravel())
-    endosteal_points = lines.start + lines.endosteum[:, None] * (lines.end - lines.start)
-    gap = lines.gap.reshape(around, levels)
-    floor = _floor(surfaces, endosteal_points.reshape(around, levels, 3))
-    merged = gap < floor
-    # Below and above the mantle its first and its last section go on. Without cement the canal is
-    # open below.
-    first_section, last_section = surfaces.mantle
-    if surfaces.first == 1:
-        merged[:, :first_section] = merged[:, first_section : first_section + 1]
-    merged[:, last_section + 1 :] = merged[:, last_section : last_section + 1]
-    thickness = np.where(merged, 0.0, np.maximum(gap, floor))
-    # Fewer cells across where they would be flat, and none where a layer has no thickness.
-    length = lines.length.reshape(around, levels)
-    endosteum = lines.endosteum.reshape(around, levels)
-    widths = (endosteum * length - thickness, thickness, (1 - endosteum) * length)[
-        surfaces.first - 1 :
-    ]
-    rho_of = np.full((per_line, around, levels), float(surfaces.first))
-    representative = np.zeros((per_line, around, levels), dtype=np.int64)
-    height_fraction = np.clip(
-        (np.arange(levels) - first_section) / (last_section - first_section), 0.0, 1.0 - 1e-9
-    )
-    most_cells: list[Floats | int] = [*surfaces.through]
-    if surfaces.first == 1:
-        most_cells[0] = np.floor(surfaces.cement + height_fraction)
-    first_column = 0
-    steps = surfaces.mesh.least_through[surfaces.first - 1 :]
-    layers = zip(surfaces.through, widths, steps, most_cells, strict=True)
-    for ring, (cells, width, step, limit) in enumerate(layers, start=surfaces.first):
-        across = np.clip(np.round(width / step), 1, limit)
-        for k in range(1, cells + 1):
-            rho_of[first_column + k] = ring + np.minimum(k / across, 1.0)
-            representative[first_column + k] = np.where(
-                k < across, first_column + k, first_column + cells
-            )
-        first_column += cells
-    endosteal = sum(surfaces.through[:-1])
-    inner = (rho_of >= 2) & (rho_of < 3) & merged
-    representative[(rho_of == 2) & merged | inner] = endosteal
-
+    layers = _Layers.of(surfaces, per_line)
+    levels = layers.gap.shape[1]
     station = np.repeat(np.arange(levels), column_count)
     line = np.concatenate(
         [np.repeat(np.arange(around), per_line), np.full(column_count - around * per_line, -1)]
@@ -241,14 +278,15 @@ def _grid(surfaces: LayeredSurfaces, body: ReferenceBody) -> tuple[Nodes, Ints]:
     line_of_node = np.tile(line, levels)
     column_of_node = np.tile(np.arange(column_count) % per_line, levels)
     in_core = line_of_node < 0
-    rho = np.where(in_core, 0.0, rho_of[column_of_node, line_of_node, station])
+    rho = np.where(in_core, 0.0, layers.rho[column_of_node, line_of_node, station])
+    merged, at = layers.merged, (line_of_node, station)
     nodes = Nodes(
         phi=2 * np.maximum(line_of_node, 0),
         rho=rho,
         s=2 * station,
-        merged=~in_core & merged[line_of_node, station] & (rho >= 2) & (rho <= 3),
-        error=np.where(in_core, 0.0, np.where(merged, -gap, 0.0)[line_of_node, station]),
-        floor=np.where(in_core, 0.0, np.where(merged, 0.0, floor)[line_of_node, station]),
+        merged=~in_core & merged[at] & (rho >= 2) & (rho <= 3),
+        error=np.where(in_core, 0.0, np.where(merged, -layers.gap, 0.0)[at]),
+        floor=np.where(in_core, 0.0, np.where(merged, 0.0, layers.floor)[at]),
         x=np.zeros((len(line_of_node), 3)),
     )
     nodes = _place(surfaces, nodes)
@@ -258,8 +296,8 @@ def _grid(surfaces: LayeredSurfaces, body: ReferenceBody) -> tuple[Nodes, Ints]:
     )
     number = np.arange(levels * column_count)
     number[~in_core] += (
-        representative[column_of_node, line_of_node, station][~in_core] - column_of_node[~in_core]
-    )
+        layers.representative[column_of_node, line_of_node, station] - column_of_node
+    )[~in_core]
     return surfaces.place_end_nodes(nodes, number, body)
 
 
