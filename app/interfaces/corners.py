@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 # Factors of jumps below this are rounding errors.
 ROUNDING = 1e-12
 # Stands for the index of a support if the supports of a rigid region together prescribe a motion.
-RIGIDLY = np.iinfo(np.int64).max
+BY_RIGID_REGION = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True)
@@ -137,8 +137,8 @@ class VertexConstraints:
     Attributes:
         vertex: Vertex numbers of the mesh file (h,).
         body: Body (h,).
-        support: Index of the support of each component, -1 where it is free (h, 3); `RIGIDLY`
-            where the supports of a rigid region together prescribe the motion.
+        support: Index of the support of each component, -1 where it is free (h, 3);
+            `BY_RIGID_REGION` where the supports of a rigid region together prescribe the motion.
         rigid: Mask of the rows whose node moves with a rigid region of the body (h,).
     """
 

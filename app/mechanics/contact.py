@@ -30,7 +30,7 @@ from pydantic_core import PydanticCustomError
 from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import InputError
 from app.interfaces.contact_points import contact_points
-from app.interfaces.corners import RIGIDLY
+from app.interfaces.corners import BY_RIGID_REGION
 from app.interfaces.interface_facets import gather
 from app.laws.values import amplitude, gap_at, gap_settled
 from app.mechanics.body_forms import BodyForms
@@ -317,7 +317,7 @@ class ContactInterfaces:
         jumps = []
         for k, support in enumerate(self._supports):
             unit_displacement = np.zeros((len(local), 3))
-            if (self.points.prescribing_support == RIGIDLY).any():
+            if (self.points.prescribing_support == BY_RIGID_REGION).any():
                 unit = PETSc.Vec().createWithArray(constraints.unit[k].copy(), comm=self.comm)
                 unit_displacement = constraints.expand(unit).array_r.reshape(-1, 3)[self._nodes]
             jumps.append(prescribed_jump(self.points, local.rows, k, support, unit_displacement))

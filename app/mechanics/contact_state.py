@@ -9,7 +9,7 @@ import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import InputError
-from app.interfaces.corners import RIGIDLY, ContactPoints, VertexConstraints
+from app.interfaces.corners import BY_RIGID_REGION, ContactPoints, VertexConstraints
 from app.interfaces.faces import projectors
 from app.interfaces.interface_facets import InterfaceFacets, gather
 from app.laws.supports import Support
@@ -161,12 +161,14 @@ def prescribed_jump(
     prescribing_support, x = points.prescribing_support[rows], points.x[rows]
     jump = np.zeros(x.shape)
     for side, sign in ((0, -1.0), (1, 1.0)):  # master, slave
-        for index in (number, RIGIDLY):
+        for index in (number, BY_RIGID_REGION):
             is_prescribed = prescribing_support[:, :, side] == index
             held = np.flatnonzero(is_prescribed.any(axis=1))
             if not len(held):
                 continue
-            displacement = rigid_displacement[held] if index == RIGIDLY else support.values(x[held])
+            displacement = (
+                rigid_displacement[held] if index == BY_RIGID_REGION else support.values(x[held])
+            )
             axes = points.axes[rows][held]
             components = np.einsum("pic,pi->pc", axes, displacement)
             components = np.where(is_prescribed[held], components, 0.0)
@@ -205,7 +207,7 @@ def with_rigid_regions(
                 dof[rigid_vertices] - first_owned, axes_of_vertices
             )
         body = np.full(len(rigid_vertices), bodies.of_region[region])
-        support = np.where(is_prescribed, RIGIDLY, -1)
+        support = np.where(is_prescribed, BY_RIGID_REGION, -1)
         rows = vertex[rigid_vertices], body, support, np.ones(len(rigid_vertices), dtype=bool)
         vertices, body_numbers, supports, is_rigid = gather(body_forms.mesh.comm, *rows)
         all_holds.append((vertices, body_numbers, supports, is_rigid))

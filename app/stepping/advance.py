@@ -141,7 +141,7 @@ class Growth:
         return min(max(self.safety / math.sqrt(error), self.smallest), self.largest)
 
 
-class GivenSteps:
+class FixedSteps:
     """Steps of given lengths, none of which may be shorter.
 
     Args:

@@ -15,7 +15,7 @@ from app.foundation.errors import ConvergenceError
 from app.numerics.integrator import Controller
 from app.scene.scene import Stage
 from app.soundness.failure import attempts
-from app.stepping.advance import Control, GivenSteps, Step, advance
+from app.stepping.advance import Control, FixedSteps, Step, advance
 from app.stepping.heat_state import HeatState, HeatStep
 from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
 from app.stepping.load_steps import Effort, LoadStep
@@ -63,13 +63,13 @@ class HeatStepper:
     def _control_of(self, stage: Stage) -> Control:
         """Control of the steps of a stage: one to a steady state, by their error, or equal."""
         if stage.steady:
-            return GivenSteps([Step(0.0, 1.0, math.inf, ends_increment=True)], self.steps_done)
+            return FixedSteps([Step(0.0, 1.0, math.inf, ends_increment=True)], self.steps_done)
         first_step = 0.0
         if not self.steps_done:
             first_step = self.heating.start(stage.seconds / stage.increments)
         if stage.adaptive:
             return StepsByError(self.heating, self.controller, stage, self.stage_start, first_step)
-        return GivenSteps(self._equal(stage), self.steps_done)
+        return FixedSteps(self._equal(stage), self.steps_done)
 
     def _equal(self, stage: Stage) -> list[Step]:
         """Equal steps of a stage, divided at events."""

@@ -198,13 +198,13 @@ class LoadStepper:
         progress = progress or LoadProgress(increment)
         self._extrapolation.begin(begin)
         path = LoadPath(stage, increment, set_load, begin, end)
-        given_loads = GivenLoads(self, path, progress)
-        given_energy = GivenEnergy(self, path, progress, given_loads.start)
+        load_steps = LoadSteps(self, path, progress)
+        energy_steps = EnergySteps(self, path, progress, load_steps.start)
         while progress.done < 1.0:
-            advance(given_loads, given_loads, checkpoint_point)
+            advance(load_steps, load_steps, checkpoint_point)
             if progress.energy:
-                given_energy.begin(given_loads.start, given_loads.energy_start)
-                advance(given_energy, given_energy, checkpoint_point)
+                energy_steps.begin(load_steps.start, load_steps.energy_start)
+                advance(energy_steps, energy_steps, checkpoint_point)
 
     def commit(
         self, stage: Stage, time: float, outcome: NewtonResult, started: float, ends_increment: bool
@@ -263,7 +263,7 @@ class LoadPath:
         return self.begin + fraction * (self.end - self.begin)
 
 
-class GivenLoads:
+class LoadSteps:
     """Steps of given loads, and their control: halved on failure, longer after an easy one.
 
     Attributes:
@@ -385,7 +385,7 @@ class GivenLoads:
         self._halved_lengths = []
 
 
-class GivenEnergy:
+class EnergySteps:
     """Steps of given fracture energy, and their control: halved on failure, doubled after each one.
 
     Steps of given loads take over after an increment in one step, or if nothing more breaks.
