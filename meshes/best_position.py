@@ -302,9 +302,12 @@ def _search(geometry: SearchedHip, insertion: SearchedInsertion) -> tuple[list[f
         shortfall = f"leaves {fit_after.least:.2f} mm"
         if fit_after.least < 0:
             shortfall = f"cuts {-fit_after.least:.2f} mm into the cortex"
+        aim = "keeps the stem in the canal"
+        if geometry.least_room > 0:
+            aim = f"leaves {geometry.least_room:g} mm around the stem"
         raise GeometryError(
-            "geometry.insertion: no position within the limits of the search leaves"
-            f" {geometry.least_room:g} mm around the stem; the best ({position_text}) {shortfall}"
+            "geometry.insertion: no position within the limits of the search"
+            f" {aim}; the best ({position_text}) {shortfall}"
             f" {fit_after.side} at {placement.point_in_words(fit_after.place)}; ream the canal, "
             "use a smaller or shorter stem, or widen insertion.best"
         )

@@ -233,7 +233,7 @@ def _cement(case: CaseParts) -> Iterable[Fault]:
     elif missing_laws:
         example = ", ".join(f"{name}: {law}" for name, law in missing_laws.items())
         message = (
-            f"no law for {', '.join(missing_laws)}, so the stem would be bonded (ingrown); set"
+            f"no law for {', '.join(missing_laws)}: metal would be bonded to bone (ingrown); set"
         )
         yield Fault(("interfaces",), f"{message} `{example}`, or `kind: bonded`")
 

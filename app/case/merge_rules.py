@@ -39,6 +39,8 @@ Rule = Callable[[CaseFile, object, object, Path], tuple[object, object]]
 def rule_at(path: Path) -> Rule | None:
     """Rule of a path of a case; most paths have none."""
     match path:
+        case ("geometry", "stem"):
+            return _stem
         case ("regions", _):
             return _region
         case ("interfaces", _):
@@ -59,6 +61,13 @@ def rule_at(path: Path) -> Rule | None:
 def _without_keys(values: Mapping[str, object], *keys: str) -> dict[str, object]:
     """Values of the other keys."""
     return {key: value for key, value in values.items() if key not in keys}
+
+
+def _stem(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:
+    """Drop the dimensions of a stem that a file replaces; its collar stays."""
+    if isinstance(lower, dict) and isinstance(upper, dict) and "step" in upper.keys() - lower:
+        lower = {key: value for key, value in lower.items() if key == "collar"}
+    return lower, upper
 
 
 def _region(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:

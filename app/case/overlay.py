@@ -1,7 +1,6 @@
 """Merge a case with its bases, entries of a library, and overrides.
 
-Each value keeps its place: file, line and column, also of a base or a library. Places of removed
-values may remain; they are never read.
+Each value keeps its place: file, line and column, also of a base or a library.
 """
 
 from __future__ import annotations
@@ -180,6 +179,9 @@ def _merged(case: CaseFile, lower: object, upper: object, path: Path) -> Any:
         return upper
     if isinstance(lower, dict) and "kind" in upper and kind_of(lower, path) != kind_of(upper, path):
         lower = None
+        if rule is None:
+            for place in [p for p in case.places if p[: len(path)] == path and p != path]:
+                del case.places[place]
     lower_values = lower if isinstance(lower, dict) else {}
     merged_values = {}
     for key, value in lower_values.items():

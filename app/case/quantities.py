@@ -529,6 +529,15 @@ add_quantity(
     _stem("retroversion", "deg", digits=3, order=ORDER_OF_MOTION, step_record=True, headline=True),
     _stem("varus", "deg", digits=3, order=ORDER_OF_MOTION, step_record=True, headline=True),
     _stem(
+        "insertion_subsidence",
+        "mm",
+        "um",
+        1,
+        label="subsidence during the insertion",
+        order=ORDER_OF_MOTION,
+        on_page=True,
+    ),
+    _stem(
         "tip_displacement",
         "mm",
         "um",

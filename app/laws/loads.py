@@ -221,7 +221,7 @@ class Force(Load):
             expected_text = (
                 "the direction, 1 N long"
                 if expected_size
-                else "no such key: the cycle table has the components"
+                else "none: the cycle table has the components (over a base: `force: null`)"
             )
             fail(f"is {size:g} N long; expected {expected_text}", at=("force",))
         return self

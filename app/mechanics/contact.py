@@ -372,6 +372,11 @@ class ContactInterfaces:
         self.set_pairs(trial.jump)
         return True
 
+    @property
+    def is_inserting(self) -> bool:
+        """Return True if the gap of a press fit changed in the last committed step."""
+        return 0.0 < self._committed_time <= self.insertion_time
+
     def commit(self, state: ContactState, time: float) -> None:
         """Set the committed state, and its time."""
         if time <= self.insertion_time:

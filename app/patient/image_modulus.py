@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -31,6 +32,7 @@ SOFTEST = 500.0
 STIFF_CORTEX = 25e3
 AIR_NUMBER = -200.0  # CT number: air and lung are below it
 REPORTED_DENSITIES = (0.3, 0.6, 1.0)  # g/cm3 for which moduli are reported
+SAME_AXES = 0.5  # deg up to which the axes of CT and labels are the same
 SURFACE_DEPTH = 1.5  # mm below the surface of a bone where voxels have nothing of what is around it
 
 
@@ -164,6 +166,16 @@ class ImageModulus(ModulusField):
                 f"{name}: its smallest CT number is {image.least:g}, but air has -1000; is there"
             )
             notes.append(f"{doubt} no air, or was 1024 added to all numbers?")
+        if isinstance(geometry, Patient) and geometry.bone.image:
+            from app.patient import images  # scipy, which other cases do without
+
+            labels = geometry.bone.image
+            angle = math.degrees(image.angle_to(images.read_layers(labels)))
+            if angle > SAME_AXES:
+                notes.append(
+                    f"{name}: its axes are turned by {angle:.1f} deg against those of"
+                    f" {labels.name}; are CT and labels of one scan?"
+                )
         if isinstance(geometry, Patient):
             median = float(np.median(self.below_surface(geometry)))
             if median > STIFF_CORTEX:

@@ -80,6 +80,14 @@ class Image:
         digest.update(np.ascontiguousarray(self.values))
         return digest.hexdigest()
 
+    def angle_to(self, other: Image) -> float:
+        """Largest angle between an axis of the voxels and the nearest of another image [rad]."""
+        axes, other_axes = (
+            m / np.linalg.norm(m, axis=0) for m in (self.affine[:3, :3], other.affine[:3, :3])
+        )
+        cosines = np.abs(axes.T @ other_axes).max(axis=1)
+        return float(np.arccos(min(cosines.min(), 1.0)))
+
     @cached_property
     def _numbers(self) -> Any:
         """Values of all voxels that are numbers (n,)."""

@@ -18,6 +18,13 @@ from app.stepping.load_steps import LoadStep, OnStep
 PRESSURES = ("pressure_mean", "pressure_p95", "pressure_max")
 
 
+def _of_insertion(numbers: Numbers) -> Numbers:
+    """Pressures of an interface and its zones, under their names after the insertion."""
+    pressures: Numbers = {f"insertion_{key}": numbers[key] for key in PRESSURES}
+    zones = {name: _of_insertion(zone) for name, zone in numbers.get("zones", {}).items()}
+    return pressures | ({"zones": zones} if zones else {})
+
+
 class AfterInsertion(Record):
     """Numbers of interfaces and bone when the interference has grown."""
 
@@ -56,9 +63,7 @@ class AfterInsertion(Record):
         surface_parts = in_parts(surface, [c.name for c in problem.scene.contacts], levels)
         numbers = ContactSamples(problem, trial, None, surface_parts).numbers
         pressed = [c.name for c in problem.scene.contacts if c.press_fit]
-        return {
-            name: {f"insertion_{key}": numbers[name][key] for key in PRESSURES} for name in pressed
-        }
+        return {name: _of_insertion(numbers[name]) for name in pressed}
 
     def _strains(self) -> dict[str, Numbers]:
         """Hoop strain of each region of bone beside the stem; collective."""

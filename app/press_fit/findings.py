@@ -87,6 +87,21 @@ def _ingrowth(summary: Summary) -> Iterable[Verdict]:
 
 
 @judge
+def _raised_collar(summary: Summary) -> Iterable[Verdict]:
+    """Collars that the insertion lifts off the bone."""
+    collar = summary.get("interfaces", {}).get(ON_CUT, {})
+    stem = summary.get("stem", {})
+    rise = -stem.get("insertion_subsidence", 0.0)
+    if rise > 0 and collar.get("insertion_pressure_max") == 0:
+        message = (
+            f"the insertion raises the stem by {1e3 * rise:.1f} um and lifts its collar off the"
+            " bone, since the stem grows in its bed; a collar that is seated last carries more"
+        )
+        advice = f"to seat it, set `gap: {-rise:.3f} mm` in interfaces.{ON_CUT}"
+        yield Verdict(message, "insertion", advice, Severity.WARNING)
+
+
+@judge
 def _yield(summary: Summary) -> Iterable[Verdict]:
     """Bone strained by the insertion beyond what it bears."""
     for name, q in summary.get("regions", {}).items():

@@ -99,6 +99,11 @@ def _with_unit(section: str, key: str, numbers: Numbers) -> str:
     return q.with_unit(numbers, printed(q.shown))
 
 
+def _is_pressed(numbers: Numbers) -> bool:
+    """Return True if an interface has an interference that grew before the loads."""
+    return "insertion_pressure_max" in numbers
+
+
 def _contacts(summary: Summary) -> Iterator[LargeNumber]:
     """Slip and opening of the interfaces, and the main numbers of added sections."""
     for name, q in summary["interfaces"].items():
@@ -108,7 +113,8 @@ def _contacts(summary: Summary) -> Iterator[LargeNumber]:
         moving_body, other_body, preposition = PAIRS.get(name, ("the sides", named(name), "of"))
         surface = "surface without rim and tip" if "rim" in q else "surface"
         if "micromotion_p99" in q:
-            detail = f"99 % of the {surface} moves less, counted from the end of the insertion."
+            detail = f"99 % of the {surface} moves less"
+            detail += ", counted from the end of the insertion." if _is_pressed(q) else "."
             area = q.get("area_micromotion_over_40um", 0.0)
             if area > NO_BONE:
                 detail += f" Motion above 40 µm: {area:,.0f} of {q['area']:,.0f} mm²."
@@ -157,6 +163,9 @@ def _stem(summary: Summary) -> Iterator[LargeNumber]:
     stem = summary.get("stem", {})
     if abs(1e3 * stem.get("subsidence", 0.0)) > NOTHING:
         detail = "Motion of the stem against the bone along the shaft."
+        if "insertion_subsidence" in stem:
+            before = _with_unit("stem", "insertion_subsidence", stem)
+            detail += f" Since the insertion, which gave {before}."
         yield _number("stem", "subsidence", stem, "subsidence of the stem", detail)
 
 

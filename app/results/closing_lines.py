@@ -95,7 +95,8 @@ def headline(summary: Summary) -> Iterator[str]:
     for key, owners in (("motion_p99", other_rows), ("micromotion_p99", inserted)):
         if owners:
             number_texts = [f"{_with_unit('interfaces', key, q)} ({name})" for name, q in owners]
-            since_text = " since the insertion" if key.startswith("micro") else ""
+            is_pressed = all("insertion_pressure_max" in q for _, q in owners)
+            since_text = " since the insertion" if is_pressed else ""
             yield (f"99 % of the surface moves{since_text} by less than {', '.join(number_texts)}")
     # Interfaces with finite sliding have no number for motion; pressure is their main result.
     pressed = [row for row in interfaces.items() if row not in moving and "pressure_max" in row[1]]
@@ -105,7 +106,8 @@ def headline(summary: Summary) -> Iterator[str]:
         ]
         yield f"the largest contact pressure is {', '.join(number_texts)}"
     for row in rows.get("stem", {}).items():
-        yield _sentence("stem", *row)
+        is_pressed = "insertion_subsidence" in row[1]
+        yield _sentence("stem", *row, template_name="pressed_stem" if is_pressed else "stem")
         if "collar_force" in row[1]:
             yield _sentence("stem", *row, template_name="collar")
     for name, q in rows.get("regions", {}).items():
@@ -176,6 +178,9 @@ SENTENCES = {
     "cure": "{name}: degree of cure {degree_min} to {degree_max}{reached}; largest rate {rate_max}",
     "stem": "the stem moves against the bone: subsidence {subsidence}, "
     "retroversion {retroversion}, varus {varus}",
+    "pressed_stem": "since the insertion the stem moves against the bone: subsidence {subsidence}, "
+    "retroversion {retroversion}, varus {varus}; the insertion itself: subsidence"
+    " {insertion_subsidence}",
     "collar": "the collar presses on the bone by {collar_force} along the stem, {collar_share} of"
     " what collar and flanks carry",
 }

@@ -40,12 +40,18 @@ class StemMotion:
     the medial side towards posterior, varus tilts the top towards medial. `Case.side` determines
     the medial direction.
 
+    After a press fit this motion counts from the end of the insertion, as micromotion does.
+    ``insertion_subsidence`` [mm] is the motion before: a stem that grows in its bed rises.
+
     ``tip_displacement`` and ``top_displacement`` (3,) [mm] are displacements of the stem's lowest
     and highest nodes. They are in the frame of the model and include the bending of the femur.
     """
 
+    saved = ("at_insertion",)
+
     def __init__(self, problem: Problem, case: Case) -> None:
         self._problem = problem
+        self.at_insertion: Numbers = {}
         regions = problem.tagged.regions
         implant, bone, cement = (
             [r for r in case.of_tissue(t) if r in regions] for t in ("implant", "bone", "cement")
@@ -85,7 +91,20 @@ class StemMotion:
         t = np.average(v, axis=0, weights=stem.area)
         ω = np.rad2deg(stem.rotation(v)) * (1 if side == "left" else -1)
         motion = {"subsidence": -t[2], "retroversion": -ω[2], "varus": ω[1]}
-        return {key: float(value) for key, value in motion.items()} | displacements
+        numbers: Numbers = {key: float(value) for key, value in motion.items()}
+        return self._since_insertion(numbers) | displacements
+
+    def _since_insertion(self, motion: Numbers) -> Numbers:
+        """Return the motion since the end of the insertion; as it is without a press fit."""
+        contact = self._problem.contact
+        if contact is None or not any(c.press_fit for c in self._problem.scene.contacts):
+            return motion
+        if contact.is_inserting:
+            self.at_insertion = motion
+        elif not self.at_insertion:  # nothing is pressed in
+            return motion
+        since = {key: value - self.at_insertion[key] for key, value in motion.items()}
+        return since | {"insertion_subsidence": self.at_insertion["subsidence"]}
 
 
 @dataclass(frozen=True)

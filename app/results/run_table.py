@@ -62,7 +62,11 @@ class SweepRow(RunRow):
 
 
 # Quantities that the text table shows, the first that a run has, and words around the unit.
-MOST = {"slip_p99": "slip (p99) on", "temperature_max": "in"}
+MOST = {
+    "micromotion_p99": "micromotion (p99) of",
+    "slip_p99": "slip (p99) on",
+    "temperature_max": "in",
+}
 
 
 def row(point: Point, summary: Summary, status: str, seconds: float) -> RunRow:
@@ -139,12 +143,12 @@ def text(rows: Sequence[RunRow]) -> str:
         result = most_informative(r["numbers"]) if r["status"] == "converged" else r["status"]
         lines.append((r["name"], *counts, layout.duration(r["seconds"]), result))
     return layout.table(
-        ("case", "unknowns", "Newton", "Krylov", "time", "largest slip or temperature"), lines
+        ("case", "unknowns", "Newton", "Krylov", "time", "largest motion or temperature"), lines
     )
 
 
 def most_informative(numbers: Mapping[str, float]) -> str:
-    """Return the largest slip of a run, or its highest temperature, as text."""
+    """Return the largest micromotion or slip of a run, or its highest temperature, as text."""
     for key, text in MOST.items():
         values = {name: value for name, value in numbers.items() if name.endswith(f".{key}")}
         if values:

@@ -30,6 +30,8 @@ from app.results.percentiles import SurfaceField
 STEPS = 2
 # Fraction of a facet below which a piece is rounding.
 NOTHING = 1e-12
+# Fraction of an interface below which a part of it is rounding.
+LEAST_PART = 1e-6
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,6 @@ class Surface:
         triangles: Points at the corners of each facet (f, 3).
         corners: Positions of these points (f, 3, 3) [mm].
         area: Area of each facet (f,) [mm2].
-        parts: Names of the parts; the part outside all others has an empty name.
         borders: The argument.
         weight: Area of each point within a part (n,) [mm2], by part.
 
@@ -162,8 +163,13 @@ class Surface:
 
     @property
     def parts(self) -> list[str]:
-        """Names of the parts; the part outside all others has an empty name."""
-        return list(self._pieces)
+        """Names of the parts; the part outside all others has an empty name, and is always there.
+
+        A part smaller than `LEAST_PART` is rounding at its border, such as the tip of a stem whose
+        end faces a void.
+        """
+        least_area = LEAST_PART * self.area.sum()
+        return [p for p in self._pieces if not p or self.weight[p].sum() > least_area]
 
     def _hats(self, pieces: Pieces) -> Floats:
         """Return the integrals of the points' shape functions over pieces (n,) [mm2]."""

@@ -272,16 +272,21 @@ class Scalar:
 
 
 def is_given(section: object, path: Sequence[str]) -> bool:
-    """True if a key below a section is written in the case, and not null."""
-    part = section
+    """True if a key below a section is written in the case, and is neither null nor its default.
+
+    Cases that mantle writes contain the defaults.
+    """
+    part: object = section
+    default: object = None
     for key in path:
         if isinstance(part, BaseModel) and key in part.model_fields_set:
+            default = type(part).model_fields[key].default
             part = getattr(part, key)
         elif isinstance(part, Mapping) and key in part:
-            part = part[key]
+            part, default = part[key], None
         else:
             return False
-    return part is not None
+    return part is not None and part != default
 
 
 def not_one_of(value: object, allowed: Sequence[str]) -> str:

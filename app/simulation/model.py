@@ -72,7 +72,7 @@ class Mechanical:
         stem: Motion of the implant.
     """
 
-    saved = ("problem", "solver")
+    saved = ("problem", "solver", "stem")
 
     def __init__(self, problem: Problem, solver: Solver, case: Case) -> None:
         geometry = case.geometry

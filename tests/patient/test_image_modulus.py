@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from pydantic import ValidationError
 from app.foundation.errors import InputError
 from app.laws import densities
 from app.patient import images
-from app.patient.geometry import Patient
+from app.patient.geometry import Bone, Patient
 from app.patient.image_modulus import ImageModulus
 from app.patient.images import Image
 from tests import support
@@ -212,8 +213,29 @@ def test_image_modulus_note_doubtful_ct_numbers(
     E = ImageModulus.model_validate(modulus(write(tmp_path / "ct.npz", values), "morgan_neck"))
     monkeypatch.setattr(Patient, "skin", np.zeros((9, 3)))
     monkeypatch.setattr(Patient, "in_file", lambda patient, x, depth: x)
-    doubts = E.doubts(Patient.model_construct())
+    doubts = E.doubts(Patient.model_construct(bone=Bone.model_construct()))
     assert len(doubts) == len(notes)
     assert all(re.search(note, text) for note, text in zip(notes, doubts, strict=True))
     (line,) = ["; ".join(E.image.summary)]
     assert (f"{lost} voxels are not numbers" in line) == bool(lost)
+
+
+@pytest.mark.parametrize(("turned", "notes"), [(0.3, 0), (90.0, 0), (10.0, 1)])
+def test_image_modulus_notes_a_ct_turned_against_the_labels(
+    turned: float, notes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Axes that are only in another order are the same."""
+    c, s = math.cos(math.radians(turned)), math.sin(math.radians(turned))
+    affine = np.eye(4)
+    affine[:2, :2] = [[c, -s], [s, c]]
+    values = np.full((60, 60, 60), 1000.0)
+    values[:5] = -1000
+    np.savez(tmp_path / "ct.npz", values=values, affine=affine)
+    labels = write(tmp_path / "labels.npz", np.ones((9, 9, 9)))
+    E = ImageModulus.model_validate(modulus(tmp_path / "ct.npz", "morgan_neck"))
+    monkeypatch.setattr(Patient, "skin", np.full((9, 3), 20.0) @ affine[:3, :3].T)
+    monkeypatch.setattr(Patient, "in_file", lambda patient, x, depth: x)
+    bone = Bone.model_construct(image=Path(labels), label=1)
+    doubts = E.doubts(Patient.model_construct(bone=bone))
+    assert len(doubts) == notes
+    assert all("turned by 10.0 deg against those of labels.npz" in text for text in doubts)
