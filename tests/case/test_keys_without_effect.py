@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from app.case.case import load
+from app.case.case import dump, load
 from app.case.femurs import Femur
 from app.case.geometries import MeshOptions
 from app.case.hips import OperatedHip
@@ -189,6 +189,12 @@ def test_keys_without_effect_are_noted_where_they_are_given() -> None:
     expected = {"geometry.stem.tip_rounding", "mesh.far_size", "interfaces.stem_bone.gap_history"}
     assert {where for where, text in notes.items() if "has no effect" in text} == expected
     assert "the end of the stem is flat above a void of 5 mm" in notes["geometry.stem.tip_rounding"]
+
+
+def test_keys_without_effect_are_not_noted_in_a_case_that_mantle_wrote(tmp_path: Path) -> None:
+    (tmp_path / "case.yaml").write_text(dump(load(support.CONFIGS / "pressed.yaml").config))
+    notes = preview.warnings(load(tmp_path / "case.yaml").config)
+    assert not [n.where for n in notes if "has no effect" in str(n)]
 
 
 def test_keys_without_effect_are_those_of_covered_zones() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import shutil
@@ -105,6 +106,23 @@ def test_overlay_another_kind_replaces_the_mapping(tmp_path: Path) -> None:
     rigid = "base: blocks.yaml\nregions: {lower: {kind: conductor, thermal: {}}}\n"
     complaints = messages(write(tmp_path, case=rigid))
     assert complaints and not any("youngs_modulus" in m for m in complaints)
+
+
+def test_overlay_another_kind_has_no_places_of_the_former_one(tmp_path: Path) -> None:
+    """So an error in a default is placed at the section that chose the kind."""
+    text = "base: pressed\ngeometry: {kind: intact_femur}\n"
+    places = overlay.read(write(tmp_path, case=text)).places
+    assert ("geometry", "kind") in places and ("geometry", "stem", "length") not in places
+    assert ("geometry", "cement_thickness") not in places
+
+
+def test_overlay_stem_from_cad_replaces_dimensions_but_not_the_collar(tmp_path: Path) -> None:
+    collar = {"thickness": "3 mm"}
+    text = f"base: stance\ngeometry: {{stem: {{length: 120 mm, collar: {json.dumps(collar)}}}}}\n"
+    upper = "base: blocks.yaml\ngeometry: {stem: {step: stem.step}}\n"
+    merged = overlay.read(write(tmp_path, blocks=text, case=upper)).data
+    stem = merged["geometry"]["stem"]
+    assert stem.keys() == {"step", "collar"} and stem["collar"] == collar
 
 
 def test_overlay_null_removes(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from app.case.case import load
 from app.foundation.errors import InputError
 from app.laws.interface_laws import Coulomb
 from app.laws.values import NoStem, gap_settled
-from app.press_fit.findings import _ingrowth, _yield
+from app.press_fit.findings import _ingrowth, _raised_collar, _yield
 from tests import support
 
 # Two equal blocks between held ends: an interference, then a shift of the upper end along x.
@@ -115,6 +115,42 @@ def test_press_fit_micromotion_is_without_the_insertion(tmp_path: Path) -> None:
     assert q["insertion_pressure_mean"] == pytest.approx(pressure, rel=1e-6)
     texts = [v["what"] for v in results.summary["verdicts"] if v.get("where") == "ingrowth"]
     assert texts[0].startswith("100 % of bone_metal moves less than 40 µm")
+
+
+def test_press_fit_subsidence_counts_from_the_end_of_the_insertion(tmp_path: Path) -> None:
+    """The upper block rises by the interference from the lower one, and then only slides."""
+    results = support.run(
+        PRESSED,
+        tmp_path / "case",
+        "output.report=false",
+        "regions.bone.tissue=bone",
+        "regions.metal.tissue=implant",
+    )
+    stem = results.summary["stem"]
+    assert stem["insertion_subsidence"] == pytest.approx(-INTERFERENCE, rel=1e-6)
+    assert stem["subsidence"] == pytest.approx(0.0, abs=1e-6 * INTERFERENCE)
+    assert results.step_record["stem subsidence [mm]"] == pytest.approx(0.0, abs=1e-8)
+
+
+def test_press_fit_zones_have_the_pressure_after_the_insertion(tmp_path: Path) -> None:
+    zones = "interfaces.bone_metal.zones={coated: {above: 2 mm}, below: {below: 2 mm}}"
+    results = support.run(PRESSED, tmp_path / "case", "output.report=false", zones)
+    numbers = results.summary["interfaces"]["bone_metal"]["zones"]
+    # The interface is above 2 mm; pressure as without zones.
+    pressure = 1000.0 * (INTERFERENCE / 2) / 4.0
+    assert list(numbers) == ["coated"]
+    assert numbers["coated"]["insertion_pressure_mean"] == pytest.approx(pressure, rel=1e-6)
+
+
+def test_press_fit_raises_a_collar() -> None:
+    summary = {
+        "interfaces": {"collar_bone": {"insertion_pressure_max": 0.0}},
+        "stem": {"insertion_subsidence": -0.0158},
+    }
+    (verdict,) = _raised_collar(summary)
+    assert "raises the stem by 15.8 um" in verdict.what and "-0.016 mm" in verdict.cure
+    summary["interfaces"]["collar_bone"]["insertion_pressure_max"] = 2.0
+    assert not [*_raised_collar(summary)]
 
 
 def test_press_fit_loads_need_a_stage_after_the_insertion(tmp_path: Path) -> None:

@@ -77,6 +77,12 @@ def test_surface_parts_areas_add_up() -> None:
     assert sum(surface.field(x[:, 0], p).area for p in surface.parts) == pytest.approx(1.0)
 
 
+def test_surface_parts_that_are_rounding_are_left_out() -> None:
+    """The tip of a stem above a void: its border is the end of the surface."""
+    _, surface = plane(5, tip=lambda x, y: y - 1e-9, rim=lambda x, y: 0.9 - y)
+    assert surface.parts == ["", "rim"]
+
+
 @settings(max_examples=100, deadline=None)
 @given(
     values=st.lists(st.integers(0, 1000), min_size=16, max_size=16),
