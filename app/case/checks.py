@@ -226,9 +226,11 @@ def _cement(case: CaseParts) -> Iterable[Fault]:
             for name, entry in entry_of_name.items():
                 option = shlex.quote(f"{section}.{name}={entry}")
                 options.append(f"--set {option}")
-        reason = "there is no cement" if "regions" in geometry.left_out else "there is cement"
+        reason = "there is no cement"
+        if "regions" not in geometry.left_out:
+            reason = "there is cement; set `cement_thickness: 0 mm`, or change the rest"
         in_file = f"in a file, add {' and '.join(sections)}"
-        message = f"{reason}; {in_file}; on the command line, add `{' '.join(options)}`"
+        message = f"{reason}: {in_file}; on the command line, add `{' '.join(options)}`"
         yield Fault(("geometry", "cement_thickness"), message)
     elif missing_laws:
         example = ", ".join(f"{name}: {law}" for name, law in missing_laws.items())

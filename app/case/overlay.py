@@ -205,10 +205,13 @@ def _merged(case: CaseFile, lower: object, upper: object, path: Path) -> Any:
 
 def _place_in_time(case: CaseFile, given_places: Mapping[Path, Place]) -> None:
     """Note which loads have the common history or cycle table, and give these its place."""
+    loads = case.data.get("loads")
+    if not isinstance(loads, dict):  # absent or wrong
+        return
     given_values = {path[:3] for path in given_places}
     for key in TIME_KEYS:
         common = ("loads", key)
-        for name in case.data.get("loads") or {}:
+        for name in loads:
             path = ("loads", name, key)
             if path in given_values:
                 case.common.pop(path, None)

@@ -508,6 +508,14 @@ def test_overlay_a_wrong_common_history_is_one_error(
         assert message.startswith(error)
 
 
+@pytest.mark.parametrize("loads", ["[{kind: pressure}]", "7", "[[a], {b: 1}]"])
+def test_overlay_loads_that_are_no_mapping_are_refused(loads: str, tmp_path: Path) -> None:
+    (complaint,) = messages(
+        write(tmp_path, blocks=BLOCKS, case=f"base: blocks.yaml\nloads: {loads}\n")
+    )
+    assert complaint.startswith("case.yaml:2:1: loads: ")
+
+
 def test_overlay_a_wrong_history_of_a_base_is_at_its_place(tmp_path: Path) -> None:
     """A load's history that a common one replaces no longer has a place."""
     base = "base: stance\nloads: {hip: {history: [0, 1]}}\nstages: [{name: a}, {name: b}]\n"
