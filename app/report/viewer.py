@@ -40,7 +40,7 @@ MOTION = 3_500_000
 # Largest number of steps between the ends of stages.
 FRAMES = 60
 # Endings of the names of fields at these steps, which also have the displacement.
-MOVING = ("slip", "temperature", "displacement", "degree_of_cure")
+MOVING = ("slip", "micromotion", "temperature", "displacement", "degree_of_cure")
 # Triangles of a facet with six nodes.
 QUARTERS = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
 # Largest value of a field that is zero to rounding, in the unit of its file.
@@ -49,7 +49,7 @@ ROUNDING = 1e-9
 MOMENTS = 12
 # Label, printed unit, and factor on the values in the file. Vectors are shown by their length.
 INTERFACE: dict[str, tuple[str, str, float]] = {
-    **{key: (key, *QUANTITIES[key]) for key in ("slip", *QUANTITIES)},
+    **{key: (key, *QUANTITIES[key]) for key in ("micromotion", "slip", *QUANTITIES)},
     "status": ("open 0, stick 1, slip 2", "", 1.0),
 }
 NODAL = {
