@@ -170,8 +170,8 @@ def shielding_picture(
     figure.legend(handles, labels, loc="outside right upper", frameon=False)
     figures.save(figure, folder / "shielding.png", 120)
     caption = (
-        f"Strain energy per volume of bone against the intact femur ({intact.name}); below zero "
-        "the stem takes load from the bone."
+        "Stress shielding: strain energy per volume of bone against the intact femur"
+        f" ({intact.name}). Below zero the stem takes load from the bone."
     )
     sentences = []
     for stem, by_bone in changes.items():
