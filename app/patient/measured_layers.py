@@ -173,12 +173,18 @@ class MeasuredLayers:
         return radii, crossings
 
     def _parametric_radii(self) -> Floats:
-        """Radii of the endosteum by its ratio to the periosteum in the parametric femur [mm]."""
+        """Radii of the endosteum by its ratio to the periosteum in the parametric femur [mm].
+
+        In the metaphysis the cortex is as thin as above a measured canal.
+        """
         x = self._grid_points(self._bone.radii)
         theta = np.arctan2(x[..., 1], x[..., 0])
         z = np.asarray(x[..., 2] / self._size)
-        self.notes.append("canal: with the ratios of the parametric femur")
-        table = FemurBone()
+        self.notes.append(
+            "canal: with the ratios of the parametric femur; in the metaphysis the cortex thins to"
+            f" {THIN_CORTEX:g} mm"
+        )
+        table = FemurBone(cortex=THIN_CORTEX)
         return np.asarray(self._bone.radii * table.endosteum(theta, z) / table.periosteum(theta, z))
 
     def _measured_canal(self, canal: BoneSurface) -> Floats:
