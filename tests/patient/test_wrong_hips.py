@@ -161,7 +161,7 @@ KEYS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "too wide": (
         {"stem": {"half_width": "16 mm", "neck_diameter": "12 mm"}},
-        f"1.8 mm into the cortex medially at {PLACE}, 48 mm below the cut; ream",
+        f"1.3 mm into the cortex medially at {PLACE}, 65 mm below the cut; ream",
     ),
     "corner": ({"stem": {"corner_radius": "6 mm"}}, "half-depth, 5 mm"),
     "void": ({"tip_void": "9.5 mm"}, "less than 1 mm of plug_length, 10 mm"),
