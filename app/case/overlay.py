@@ -180,8 +180,7 @@ def _merged(case: CaseFile, lower: object, upper: object, path: Path) -> Any:
     if isinstance(lower, dict) and "kind" in upper and kind_of(lower, path) != kind_of(upper, path):
         lower = None
         if rule is None:
-            for place in [p for p in case.places if p[: len(path)] == path and p != path]:
-                del case.places[place]
+            _forget_places_below(case, path)
     lower_values = lower if isinstance(lower, dict) else {}
     merged_values = {}
     for key, value in lower_values.items():
@@ -201,6 +200,12 @@ def _merged(case: CaseFile, lower: object, upper: object, path: Path) -> Any:
         else:
             merged_values[key] = _merged(case, None, upper[key], (*path, key))
     return merged_values
+
+
+def _forget_places_below(case: CaseFile, path: Path) -> None:
+    """Remove the places of the values below a path, which another value replaces."""
+    for place in [p for p in case.places if p[: len(path)] == path and p != path]:
+        del case.places[place]
 
 
 def _place_in_time(case: CaseFile, given_places: Mapping[Path, Place]) -> None:
@@ -289,8 +294,7 @@ def _override(case: CaseFile, key: str, override: str) -> None:
                 target[path_part] = [{}] if path_parts[n + 1] == "0" else {}
                 case.places[path] = key
             target = target[step]
-    for old_path in [p for p in case.places if p[: len(path)] == path]:
-        del case.places[old_path]
+    _forget_places_below(case, path)
     case.places[path] = key
     value: object = value_text
     try:

@@ -213,7 +213,7 @@ def _checked(path: Path, surface: Welded, notes: list[str], thinned: bool) -> Bo
 
 
 def _unjoined(surface: Welded, edges: _Edges) -> str:
-    """How far the corners of triangles without neighbours are from each other, and what to do."""
+    """Distance between the corners of triangles that should be joined, and the remedy, in words."""
     single_count = int((edges.counts == 1).sum())
     return (
         f"{single_count:,} of {len(edges.counts):,} edges belong to one triangle only, and their"
