@@ -166,23 +166,29 @@ class ImageModulus(ModulusField):
                 f"{name}: its smallest CT number is {image.least:g}, but air has -1000; is there"
             )
             notes.append(f"{doubt} no air, or was 1024 added to all numbers?")
-        if isinstance(geometry, Patient) and geometry.bone.image:
+        if isinstance(geometry, Patient):
+            notes += self._doubts_on(geometry)
+        return notes
+
+    def _doubts_on(self, patient: Patient) -> list[str]:
+        """Notes on a CT that is turned against the labels, and on a cortex that is too stiff."""
+        notes, name = list[str](), self.density.name
+        if patient.bone.image:
             from app.patient import images  # scipy, which other cases do without
 
-            labels = geometry.bone.image
-            angle = math.degrees(image.angle_to(images.read_layers(labels)))
+            labels = patient.bone.image
+            angle = math.degrees(self.image.angle_to(images.read_layers(labels)))
             if angle > SAME_AXES:
                 notes.append(
                     f"{name}: its axes are turned by {angle:.1f} deg against those of"
                     f" {labels.name}; are CT and labels of one scan?"
                 )
-        if isinstance(geometry, Patient):
-            median = float(np.median(self.below_surface(geometry)))
-            if median > STIFF_CORTEX:
-                doubt = f"{name}: the median of E {SURFACE_DEPTH:g} mm below the bone's surface is"
-                expected = f"expected less than {STIFF_CORTEX / 1e3:g} GPa"
-                notes.append(
-                    f"{doubt} {median / 1e3:.1f} GPa; {expected}. Was 1024 added to its CT numbers,"
-                    " or is the calibration that of another scanner?"
-                )
+        median = float(np.median(self.below_surface(patient)))
+        if median > STIFF_CORTEX:
+            doubt = f"{name}: the median of E {SURFACE_DEPTH:g} mm below the bone's surface is"
+            expected = f"expected less than {STIFF_CORTEX / 1e3:g} GPa"
+            notes.append(
+                f"{doubt} {median / 1e3:.1f} GPa; {expected}. Was 1024 added to its CT numbers,"
+                " or is the calibration that of another scanner?"
+            )
         return notes
