@@ -69,8 +69,8 @@ class MeshKeys(StepKeys, Protocol):
     def model_dump(self) -> dict[str, Any]:
         """Keys and values."""
 
-    def lines_around(self, section: tuple[float, float, float]) -> int:
-        """Lines around a stem, by half-width, half-depth and corner radius of a section."""
+    def lines_around(self, section: tuple[float, float, float], cement: Any) -> int:
+        """Lines around a stem, by half-width, half-depth, corner radius of a section; by cement."""
 
     def along_cement(self, cement: Any) -> float:
         """Cells through cement of a thickness; a fraction is the part with one more."""

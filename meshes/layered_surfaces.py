@@ -92,7 +92,7 @@ class StemWithMantle:
         else:
             body = replace(femur_stem.body(implant), lean=placement.slopes[1])
         self.middle = 0.25 * implant.tip_z + 0.75 * placement.top
-        self.around = mesh.lines_around(body.section(self.middle))
+        self.around = mesh.lines_around(body.section(self.middle), geometry.cement_thickness)
         self.body = body.divided(self.middle, self.around)
         self._thickness = femur_stem.thickness(
             geometry.cement_thickness, implant.tip_z, placement.top

@@ -335,7 +335,7 @@ class Hip(Shape):
         cells_through = mesh.cells_through(self.cement_thickness)
         edges, about = (0, "") if implant.cad is None else (EDGE_STEPS, ", about")
         return {
-            "lines around": mesh.lines_around(self._section()),
+            "lines around": mesh.lines_around(self._section(), self.cement_thickness),
             f"steps along the stem{about}": len(stem)
             - 1
             + further_steps

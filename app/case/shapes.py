@@ -30,8 +30,10 @@ Sides = tuple[tuple[str, ...], tuple[str, ...]]
 
 LEAST = 1e-8  # size of a cell (mm), so that its powers do not underflow
 COUNTLESS = 1e40  # bound of the number of cells
-# Distance of lines around on a stem, over the size: pressure has ridges 1.5 to 3 mm wide there.
+# Distance of lines around on a stem, over the size: pressure has ridges 1.5 to 3 mm wide there. In
+# cement thinner than this (mm) they are narrower, as the root of the thickness, down to the second.
 AROUND = 0.2
+RIDGES = (4.0, 2.0)
 # Least number of lines around a femur by default; that of meshes above a size (mm).
 LINES = 16
 COMPANION = 4
@@ -385,8 +387,8 @@ class MeshOptions(Section):
 
     around: Annotated[int | float, LinesAround()] | None = None
     """Lines around the stem of a femur: their number, 4 to 1000, or their distance on the stem, a
-    quarter of the way down from the neck cut. By default the distance is 0.2 of `size`, and the
-    number, a multiple of 4, at least 16 up to a size of 10 mm."""
+    quarter of the way down from the neck cut. By default the distance is 0.2 of `size`, in cement
+    thinner than 4 mm less, and the number, a multiple of 4, at least 16 up to a size of 10 mm."""
     along: PositiveLength | None = None
     """Largest step along the stem of a femur; by default `size`. All steps from the shaft to the
     head scale with it."""
@@ -404,17 +406,22 @@ class MeshOptions(Section):
         """Largest step along a stem (mm)."""
         return self.size if self.along is None else self.along
 
-    def lines_around(self, section: tuple[float, float, float]) -> int:
+    def lines_around(self, section: tuple[float, float, float], cement: Thickness) -> int:
         """Lines around a stem: as given, or a multiple of 4, by the perimeter of a section.
 
-        It is a rectangle with rounded corners: half-width, half-depth and corner radius (mm).
+        Args:
+            section: Half-width, half-depth and corner radius of a rounded rectangle (mm).
+            cement: Thickness of the cement (mm); 0 without cement.
         """
         if isinstance(self.around, int):
             return self.around
         if self.around is not None:
             return max(COMPANION, 4 * round(perimeter(*section) / self.around / 4.0))
+        wide, narrow = RIDGES
+        thickness = spread(cement)[1] if cement else wide
+        distance = AROUND * self.size * math.sqrt(min(max(thickness, narrow), wide) / wide)
         fewest_lines = LINES if self.size <= COARSE else COMPANION
-        return max(fewest_lines, 4 * round(perimeter(*section) / (AROUND * self.size) / 4.0))
+        return max(fewest_lines, 4 * round(perimeter(*section) / distance / 4.0))
 
     def along_cement(self, cement: Thickness) -> float:
         """Cells through cement of a thickness (mm), by the mean of a graded one; 0 without cement.

@@ -186,6 +186,16 @@ def test_swept_size_sets_lines_and_steps(size: float, lines: int) -> None:
     assert steps.max() == pytest.approx(size, rel=0.1)
 
 
+@pytest.mark.parametrize(
+    ("thickness", "ratio"),
+    [(0.0, 1.0), (1.0, 0.5**0.5), (2.0, 0.5**0.5), (3.0, 0.75**0.5), (4.0, 1.0), (7.0, 1.0)],
+)
+def test_swept_lines_are_closer_in_thin_cement(thickness: float, ratio: float) -> None:
+    """Their distance is that of 4 mm of cement times the root of the relative thickness."""
+    surfaces = Surfaces(hip(cement_thickness=thickness), sized(6.0))
+    assert surfaces.around == 4 * round(43.2 / (1.2 * ratio) / 4)
+
+
 def test_swept_lines_and_steps_have_separate_lengths() -> None:
     """A distance of lines, a step along, and the rest of the mesh by the size."""
     base, given = (
