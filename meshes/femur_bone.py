@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from meshes.bone_layers import BoneLayers
     from meshes.layers import Sections
 
+# Level of the isthmus [mm].
+ISTHMUS = -113.0
+# Level above which the canal is the cone of the metaphysis [mm].
+CONE_END = -50.0
 # z, lateral, medial, antero-posterior half-width [mm], superellipse exponent
 OUTER = np.array(
     [

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from app.foundation.arrays import Floats, Ints
@@ -36,6 +38,11 @@ def centroid(lines: Floats) -> tuple[Floats, float]:
     twice_areas = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
     area = float(twice_areas.sum()) / 2
     return np.asarray((twice_areas[:, None] * (a + b)).sum(axis=0) / (6 * area)), area
+
+
+def mean_width(lines: Floats) -> float:
+    """Diameter of the circle whose area lines (k, 2, 2) enclose."""
+    return 2.0 * math.sqrt(centroid(lines)[1] / math.pi)
 
 
 def ray_crossings(lines: Floats, angles: Floats) -> tuple[Ints, Floats]:

@@ -257,8 +257,8 @@ class Shape(Extensible):
         return None
 
     @property
-    def other_shafts(self) -> dict[str, Shape]:
-        """The geometry with other continued shafts, by what differs, in words."""
+    def other_bones(self) -> dict[str, Shape]:
+        """The geometry with other bone where none was measured, by what differs, in words."""
         return {}
 
     @property

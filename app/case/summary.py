@@ -137,18 +137,16 @@ class EstimatedErrors(TypedDict):
     unsettled: dict[str, list[list[float]]]
 
 
-class ShaftInfluence(TypedDict):
-    """Changes of main numbers by other continued shafts.
+class BoneInfluence(TypedDict):
+    """Changes of main numbers by other bone where none was measured.
 
     Attributes:
-        end: Level at which the scan ends [mm].
         mesh_size: Size of the cells of all runs [mm].
-        changes: Number with the shaft of the run and with another one, by the name of the number,
-            by what differs in the shaft.
+        changes: Number with the bone of the run and with another one, by the name of the number,
+            by what differs in the bone.
         sentence: The largest changes, in words.
     """
 
-    end: float
     mesh_size: float
     changes: dict[str, dict[str, list[float]]]
     sentence: str
@@ -187,7 +185,7 @@ class Summary(TypedDict, total=False):
         cpu: CPU time of all ranks by phase [s].
         memory: Peak of the memory.
         error: Estimate of errors.
-        continued_shaft: Changes of main numbers by other shafts below the end of a scan.
+        assumed_bone: Changes of main numbers by other bone where none was measured.
         accuracy: Accuracy that was asked for and reached, in words.
         verdicts: Statements on the run (`foundation.verdict.Verdict.record`).
     """
@@ -217,7 +215,7 @@ class Summary(TypedDict, total=False):
     cpu: dict[str, float]
     memory: Memory
     error: EstimatedErrors
-    continued_shaft: ShaftInfluence
+    assumed_bone: BoneInfluence
     accuracy: str
     verdicts: list[dict[str, str]]
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
@@ -22,13 +22,13 @@ from app.patient import bone_surface, ct_canal, label_surface, landmarks, shaft
 from app.patient.bone_surface import BoneSurface
 from app.patient.landmarks import Frame
 from app.patient.measured_layers import MeasuredLayers, Reaming
-from app.patient.shaft import Continuation
+from app.patient.shaft import CanalByRatios, Continuation
 from meshes import femur_bone
 from meshes.bone_layers import StemShape
 from meshes.femur_bone import HEAD_HEIGHT
 from meshes.layers import Sections
 from meshes.placement import Placement
-from meshes.plane_sections import centroid, exits
+from meshes.plane_sections import exits, mean_width
 
 # Of the parametric femur [mm].
 TROCHANTER_REACH = 31.5  # from the axis to the greater trochanter
@@ -77,7 +77,7 @@ class CanalKeys(SurfaceKeys, Reaming, Protocol):
 
     @property
     def isthmus(self) -> float | None:
-        """Its least mean width in a shaft that is continued below a scan [mm], if it is given."""
+        """Its least mean width where no file shows it [mm], if it is given."""
 
 
 class OperatedBone(Protocol):
@@ -102,12 +102,14 @@ class PatientBone:
         canal: Surface of its canal, or None.
         continuation: The shaft below the end of the scan, which both surfaces have; None: they end
             with the scan.
+        by_ratios: The canal that replaces a surface; None: there is a surface.
     """
 
     frame: Frame
     surface: BoneSurface
     canal: BoneSurface | None
     continuation: Continuation | None = None
+    by_ratios: CanalByRatios | None = None
     is_radial: ClassVar[bool] = False
 
     @property
@@ -153,6 +155,14 @@ class PatientBone:
         return float(self.surface.points[:, 2].min())
 
     @property
+    def assumed_isthmus(self) -> float | None:
+        """Mean width of the canal at its isthmus [mm], if no file shows it."""
+        if self.by_ratios:
+            return self.by_ratios.isthmus
+        continued_canal = self.continuation.canal if self.continuation else None
+        return continued_canal.isthmus if continued_canal and continued_canal.is_assumed else None
+
+    @property
     def notes(self) -> list[str]:
         """Doubts about files, the size and shape of the bone, and an open proximal end."""
         doubts = [*self.frame.doubts(self.surface), *(self.canal.doubts if self.canal else ())]
@@ -172,8 +182,9 @@ class PatientBone:
             GeometryError: The stem's axis leaves the bone, or a surface crosses itself.
         """
         keys, implant = geometry.canal, geometry.implant
-        surfaces = self.surface, self.canal, self.size
-        return MeasuredLayers(*surfaces, keys, implant, sections, stem)
+        scale = self.by_ratios.scale if self.by_ratios else 1.0
+        bone = self.surface, self.canal, scale, self.size
+        return MeasuredLayers(*bone, keys, implant, sections, stem)
 
     @cached_property
     def _skin(self) -> tuple[Any, Floats]:
@@ -215,8 +226,7 @@ class PatientBone:
         """
         x, height_ratio = self.surface.points, self.size
         shaft_ratio = (
-            math.sqrt(centroid(self.surface.level(SHAFT_LEVEL * height_ratio))[1] / math.pi)
-            / SHAFT_RADIUS
+            mean_width(self.surface.level(SHAFT_LEVEL * height_ratio)) / 2.0 / SHAFT_RADIUS
         )
         trochanter_ratio = (
             -float(x[(x[:, 2] > 0) & (x[:, 2] < 40 * height_ratio), 0].min()) / TROCHANTER_REACH
@@ -295,8 +305,12 @@ def _read(
             bone_surface.read(canal_path, canal_unit, canal_label, least_length)
         )
     if not extend or frame.version is not None:
-        return PatientBone(frame, surface, canal_surface)
-    return _continued(frame, surface, canal_surface, isthmus)
+        bone = PatientBone(frame, surface, canal_surface)
+    else:
+        bone = _continued(frame, surface, canal_surface, isthmus)
+    if bone.canal is not None:
+        return bone
+    return replace(bone, by_ratios=shaft.canal_by_ratios(bone.surface, bone.size, isthmus))
 
 
 def _continued(

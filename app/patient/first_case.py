@@ -222,7 +222,8 @@ def _canal(geometry: Patient, ct: Path | None) -> str:
     reason = "since no label contains it; --ct FILE takes it from a CT"
     if ct:
         reason = "since the scan contains too little of the shaft"
-    return f"with the ratios of the parametric femur, {reason}"
+    width = f"{geometry.femur.assumed_isthmus:.1f} mm wide at its isthmus (canal.isthmus)"
+    return f"with the ratios of the parametric femur, {reason}; {width}"
 
 
 def _size(implant: Implant) -> str:

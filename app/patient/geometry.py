@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 SHORTEST_INSIDE = 50.0  # mm of the stem in the bone
 LONGER_SHAFT = 40.0  # mm by which a continued shaft is longer to find its influence
-# Width by which its canal is wider to find its influence [mm]. The standard deviation of the least
-# width is 1.3 mm in women and 1.5 mm in men (96 volunteers, PMC8589507).
+# Width by which an assumed canal is wider to find its influence [mm]. The standard deviation of the
+# least width is 1.3 mm in women and 1.5 mm in men (96 volunteers, PMC8589507).
 WIDER_CANAL = 2.0
 SHAFT_BELOW_PLUG = 70.0  # mm of shaft below the plug, or what the surface has
 
@@ -90,7 +90,7 @@ class Bone(Outline):
 
 
 class Canal(Outline):
-    """The medullary canal; without a file, with the width ratio of the parametric femur."""
+    """The medullary canal; without a file, with the width ratios of the parametric femur."""
 
     ct: ImageFile | None = None
     """CT of a bone that is given by a label. The canal is where CT numbers are below `threshold`,
@@ -98,9 +98,9 @@ class Canal(Outline):
     threshold: Number = 600.0
     """CT number at the inner surface of the cortex."""
     isthmus: PositiveLength | None = None
-    """Width of the canal where it is narrowest, the mean of both directions, if the scan ends above
-    that level: for example from a radiograph. By default it follows from the last sections and
-    the parametric femur."""
+    """Width of the canal where it is narrowest, the mean of both directions, if no file shows it:
+    for example from a radiograph. By default it follows from the last sections of a scan that ends
+    above that level, and from the parametric femur."""
     ream: Literal["none", "by", "broach"] = "none"
     """Reaming by the surgeon: none, by the same distance everywhere (`ream_by`), or as far as stem
     and cement mantle need. At least 1.5 mm of cortex are left."""
@@ -207,8 +207,8 @@ class Patient(OperatedHip):
         if canal.ream != "by":
             reason = f"the canal is not reamed by it (ream: {canal.ream})"
             keys["geometry", "canal", "ream_by"] = reason
-        if self._assumed_isthmus is None:
-            keys["geometry", "canal", "isthmus"] = "no canal is continued above its isthmus"
+        if self.femur.assumed_isthmus is None:
+            keys["geometry", "canal", "isthmus"] = "the canal is measured there"
         if not canal.surface:
             keys["geometry", "canal", "unit"] = "no surface of the canal is given"
         if not self.bone.surface:
@@ -307,31 +307,21 @@ class Patient(OperatedHip):
         return continuation.end if continuation and continuation.end > self.level else None
 
     @property
-    def other_shafts(self) -> dict[str, Shape]:
-        """The geometry with other continued shafts, by what differs, in words."""
-        shafts = dict[str, Shape]()
-        if self.continued_below is None:
-            return shafts
+    def other_bones(self) -> dict[str, Shape]:
+        """The geometry with other bone where none was measured, by what differs, in words."""
+        bones = dict[str, Shape]()
         level = self.level - LONGER_SHAFT
-        if level >= self.femur.lowest + 2.0:
+        if self.continued_below is not None and level >= self.femur.lowest + 2.0:
             longer = self.model_copy(update={"distal_cut_z": level})
-            shafts[f"{LONGER_SHAFT:g} mm more of it"] = longer
-        if self._assumed_isthmus is not None:
-            isthmus = self._assumed_isthmus + WIDER_CANAL
-            wider = self.model_copy(
-                update={"canal": self.canal.model_copy(update={"isthmus": isthmus})}
-            )
+            bones[f"{LONGER_SHAFT:g} mm more of the continued shaft"] = longer
+        isthmus = self.femur.assumed_isthmus
+        if isthmus is not None and (self.femur.by_ratios or self.continued_below is not None):
+            canal = self.canal.model_copy(update={"isthmus": isthmus + WIDER_CANAL})
+            wider = self.model_copy(update={"canal": canal})
             # The copy has the femur that this geometry has read.
             wider.__dict__.pop("femur")
-            shafts[f"a canal {WIDER_CANAL:g} mm wider in it"] = wider
-        return shafts
-
-    @property
-    def _assumed_isthmus(self) -> float | None:
-        """Width of the canal at the isthmus, if no scan shows it (mm)."""
-        continuation = self.femur.continuation
-        canal = continuation.canal if continuation else None
-        return canal.isthmus if canal and canal.is_assumed else None
+            bones[f"a canal {WIDER_CANAL:g} mm wider in the shaft"] = wider
+        return bones
 
     @property
     def _continued(self) -> dict[str, str]:
@@ -348,10 +338,7 @@ class Patient(OperatedHip):
             if end_level > plug_z
             else ""
         )
-        isthmus = self._assumed_isthmus
-        canal = f"; canal {isthmus:.1f} mm wide at its isthmus" if isthmus else ""
-        source = ", assumed" if isthmus and self.canal.isthmus is None else ""
-        return {"continued shaft": range_text + beside_stem + canal + source}
+        return {"continued shaft": range_text + beside_stem}
 
     @property
     def details(self) -> dict[str, str]:
@@ -362,6 +349,9 @@ class Patient(OperatedHip):
             if surface and surface.notes:
                 details[name] = ", ".join(surface.notes)
         details |= self._continued
+        if femur.assumed_isthmus is not None:
+            source = "assumed" if self.canal.isthmus is None else "given"
+            details["canal"] = f"{femur.assumed_isthmus:.1f} mm wide at its isthmus, {source}"
         lost_height = femur.trochanter_lost(self.placement)
         if lost_height > 0.5:
             details["not modelled"] = (

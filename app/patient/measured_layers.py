@@ -18,7 +18,7 @@ from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
 from app.patient.bone_surface import BoneSurface
 from meshes.bone_layers import StemShape
-from meshes.femur_bone import CORTEX_LEFT, FemurBone
+from meshes.femur_bone import CONE_END, CORTEX_LEFT, FemurBone
 from meshes.layers import CORE_OVER, Sections
 from meshes.placement import Placement
 from meshes.plane_sections import centroid, exits, section
@@ -83,6 +83,7 @@ class MeasuredLayers:
         self,
         bone: BoneSurface,
         canal: BoneSurface | None,
+        canal_scale: float,
         size: float,
         reaming: Reaming,
         implant: Implant,
@@ -93,7 +94,8 @@ class MeasuredLayers:
 
         Args:
             bone: Its surface, in the model's axes.
-            canal: Surface of its canal, or None: its width is then that of the parametric femur.
+            canal: Surface of its canal, or None: it then has the ratios of the parametric femur.
+            canal_scale: Factor to these ratios in the shaft [-].
             size: Its size over that of the parametric femur.
             reaming: Keys that say how the canal is reamed.
             implant: The stem with its plug.
@@ -135,7 +137,9 @@ class MeasuredLayers:
                 " program that wrote it"
             )
         self._bone = Radii(zeta, _with_limited_slopes(radii))
-        canal_radii = self._parametric_radii() if canal is None else self._measured_canal(canal)
+        canal_radii = (
+            self._parametric_radii(canal_scale) if canal is None else self._measured_canal(canal)
+        )
         self._endosteum = Radii(zeta, self._reamed_radii(reaming, canal_radii, stem))
 
     def _section_centres(self, bone: BoneSurface, canal: BoneSurface | None) -> Floats:
@@ -172,10 +176,11 @@ class MeasuredLayers:
         radii, crossings = (np.array(column) for column in zip(*ray_results, strict=True))
         return radii, crossings
 
-    def _parametric_radii(self) -> Floats:
+    def _parametric_radii(self, canal_scale: float) -> Floats:
         """Radii of the endosteum by its ratio to the periosteum in the parametric femur [mm].
 
-        In the metaphysis the cortex is as thin as above a measured canal.
+        In the metaphysis the cortex is as thin as above a measured canal. In the shaft a factor
+        scales them; between 0 and the end of the cone it goes over to 1.
         """
         x = self._grid_points(self._bone.radii)
         theta = np.arctan2(x[..., 1], x[..., 0])
@@ -185,7 +190,9 @@ class MeasuredLayers:
             f" {THIN_CORTEX:g} mm"
         )
         table = FemurBone(cortex=THIN_CORTEX)
-        return np.asarray(self._bone.radii * table.endosteum(theta, z) / table.periosteum(theta, z))
+        ratio = table.endosteum(theta, z) / table.periosteum(theta, z)
+        scale = 1.0 + np.clip(z / CONE_END, 0.0, 1.0) * (canal_scale - 1.0)
+        return np.minimum(scale * ratio * self._bone.radii, self._bone.radii - LEAST_CORTEX)
 
     def _measured_canal(self, canal: BoneSurface) -> Floats:
         """Radii of the endosteum by the canal's surface, and above it by a thinning cortex [mm]."""

@@ -6,7 +6,6 @@ of the last sections, in their shape and size.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -18,9 +17,9 @@ from app.patient import welding
 from app.patient.bone_surface import BoneSurface
 from app.patient.measured_layers import LEAST_CORTEX, THETA
 from meshes.data import connected
-from meshes.femur_bone import CANAL
+from meshes.femur_bone import CANAL, CONE_END, ISTHMUS, OUTER
 from meshes.femur_stem import unit
-from meshes.plane_sections import centroid, exits
+from meshes.plane_sections import centroid, exits, mean_width
 
 # Least downward part of a normal at the end of a surface [-].
 LEAST_DOWNWARD = 0.5
@@ -38,10 +37,6 @@ ROW_LENGTH = 10.0
 FLATNESS = 1.0
 # Parts of lateral, medial and antero-posterior half-width in the mean one [-].
 HALF_WIDTHS = (0.25, 0.25, 0.5)
-# Level of the parametric femur's isthmus [mm].
-ISTHMUS = -113.0
-# Level of the parametric femur above which its canal is still the cone of the metaphysis [mm].
-CONE_END = -50.0
 # Length below the end in which a continued canal becomes as wide as at its isthmus [mm].
 ADAPTATION_LENGTH = 30.0
 # Least area of a flat end [mm^2].
@@ -274,9 +269,7 @@ def canal_width(
     """
     end, size = outer.end, outer.size
     inner = Narrowing(CANAL, end, size)
-    bone_width, width_at_end = (
-        2.0 * math.sqrt(centroid(surface.level(end))[1] / math.pi) for surface in (bone, canal)
-    )
+    bone_width, width_at_end = (mean_width(surface.level(end)) for surface in (bone, canal))
     isthmus_level = np.array(min(ISTHMUS * size, end - ADAPTATION_LENGTH))
     parametric_bone, parametric_canal = (
         float(narrowing.half_width(end)) for narrowing in (outer, inner)
@@ -288,14 +281,53 @@ def canal_width(
     is_assumed = end > ISTHMUS * size
     if isthmus is not None and is_assumed:
         adapted = isthmus / narrowed_width
-        widest = bone_width * float(outer(isthmus_level)) - 2.0 * LEAST_CORTEX
-        if isthmus > widest:
-            raise GeometryError(
-                f"geometry.canal.isthmus: {isthmus:g} mm leaves less than {LEAST_CORTEX:g} mm of"
-                f" cortex in the continued shaft; expected at most {widest:.1f} mm"
-            )
+        _check_isthmus(isthmus, bone_width * float(outer(isthmus_level)))
     wall = np.array([exits(surface.level(end) - centre, THETA)[0] for surface in (canal, bone)])
     return CanalWidth(inner, adapted, adapted * narrowed_width, is_assumed, wall)
+
+
+def _check_isthmus(isthmus: float, bone_width: float) -> None:
+    """Raise GeometryError if a given width leaves too thin a cortex in a bone (both mm)."""
+    widest = bone_width - 2.0 * LEAST_CORTEX
+    if isthmus > widest:
+        raise GeometryError(
+            f"geometry.canal.isthmus: {isthmus:g} mm leaves less than {LEAST_CORTEX:g} mm of"
+            f" cortex; expected at most {widest:.1f} mm"
+        )
+
+
+@dataclass(frozen=True)
+class CanalByRatios:
+    """A canal that no file has: it has the ratios of the parametric femur to the bone.
+
+    Attributes:
+        isthmus: Its mean width at the isthmus [mm].
+        scale: This width over that by the ratios alone [-].
+    """
+
+    isthmus: float
+    scale: float
+
+
+def canal_by_ratios(bone: BoneSurface, size: float, isthmus: float | None) -> CanalByRatios:
+    """Return the canal of a bone that has none.
+
+    Args:
+        bone: The bone, in the model's axes.
+        size: Its size over that of the parametric femur [-].
+        isthmus: Mean width of the canal at its isthmus [mm], if it is given.
+
+    Raises:
+        GeometryError: This isthmus leaves too thin a cortex.
+    """
+    level = max(ISTHMUS * size, float(bone.points[:, 2].min()) + EDGE_ROUNDING)
+    outer, inner = (Narrowing(table, level, size).half_width(level) for table in (OUTER, CANAL))
+    bone_width = mean_width(bone.level(level))
+    width = bone_width * float(inner / outer)
+    if isthmus is None:
+        return CanalByRatios(width, 1.0)
+    _check_isthmus(isthmus, bone_width)
+    return CanalByRatios(isthmus, isthmus / width)
 
 
 def clipped(surface: BoneSurface, level: float) -> Floats:

@@ -122,9 +122,9 @@ def of_numbers(summary: Summary) -> list[Verdict]:
     if failed:
         message = f"these coarser runs failed and are left out of the estimate: {failed}"
         verdicts.append(Verdict(message, "error", severity=Severity.WARNING))
-    if "continued_shaft" in summary:
-        message = summary["continued_shaft"]["sentence"]
-        verdicts.append(Verdict(message, "continued shaft", severity=Severity.PLAIN))
+    if "assumed_bone" in summary:
+        message = summary["assumed_bone"]["sentence"]
+        verdicts.append(Verdict(message, "assumed bone", severity=Severity.PLAIN))
     if "accuracy" in summary:
         verdicts.append(Verdict(summary["accuracy"], severity=Severity.PLAIN))
     return [*verdicts, *_peaks(summary)]

@@ -32,7 +32,7 @@ from app.results import error_estimate, run_table, verdicts
 from app.results.path_tables import path_tables
 from app.results.run_folder import Writer, provenance
 from app.results.verdicts import UNUSABLE
-from app.simulation import accuracy, checkpoint, finished_runs, shaft_influence
+from app.simulation import accuracy, bone_influence, checkpoint, finished_runs
 from app.simulation.checkpoint import CheckpointWriter
 from app.simulation.model import Model
 from app.simulation.recorder import OnAccepted, Recorder
@@ -334,11 +334,11 @@ class _CaseRun:
                 summary["accuracy"] = accuracy.reached_text(setup.chosen, summary)
             summary["timing"] = self._recorder.seconds()
             verdicts.record(summary, notes)
-        if case.geometry.continued_below is not None:
+        if case.geometry.other_bones:
             with setup.timing.phase("error"), self._last_state_kept():
-                influence = shaft_influence.measured(case, model)
+                influence = bone_influence.measured(case, model)
             if influence:
-                summary["continued_shaft"] = influence
+                summary["assumed_bone"] = influence
                 verdicts.record(summary, notes)
         self._writer.finish(summary, complete=True)
         if case.output.checkpoint == CheckpointOptions():

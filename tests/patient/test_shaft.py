@@ -11,10 +11,13 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from app.case.shapes import MeshOptions
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
 from app.patient import landmarks, shaft, welding
 from app.patient.bone_surface import BoneSurface
+from app.patient.geometry import Patient
+from app.patient.measured_layers import MeasuredLayers
 from meshes import femur_bone
 from meshes.femur_stem import unit
 from meshes.plane_sections import centroid, exits, section
@@ -148,7 +151,8 @@ def test_shaft_canal_below_a_wide_metaphysis_is_that_of_a_shaft(
     assert femur.continuation.canal.isthmus == pytest.approx(
         mean_width(femur.canal, -125.0), rel=0.01
     )
-    assert "wide at its isthmus, assumed" in geometry.details["continued shaft"]
+    assert femur.assumed_isthmus == femur.continuation.canal.isthmus
+    assert "wide at its isthmus, assumed" in geometry.details["canal"]
     given = patient(
         tmp_path, bone={"surface": "bone.stl", "unit": "mm"}, canal=keys | {"isthmus": "15 mm"}
     )
@@ -158,6 +162,37 @@ def test_shaft_canal_below_a_wide_metaphysis_is_that_of_a_shaft(
         patient(
             tmp_path, bone={"surface": "bone.stl", "unit": "mm"}, canal=keys | {"isthmus": "26 mm"}
         )
+
+
+@pytest.mark.parametrize("below", [None, 76.0])
+def test_canal_by_ratios_has_a_given_isthmus(tmp_path: Path, below: float | None) -> None:
+    """By default it is as wide as the parametric one, on a whole bone and on a scan of it."""
+    surface = parametric_femur()
+    write(tmp_path / "bone.stl", surface if below is None else below_head(surface, below))
+    bone = {"surface": "bone.stl", "unit": "mm"}
+    assumed = patient(tmp_path, bone=bone, canal={})
+    isthmus = 12.4  # mean of 12.3 and 12.5 mm of the parametric femur
+    assert assumed.femur.assumed_isthmus == pytest.approx(isthmus, rel=0.02)
+    assert "wide at its isthmus, assumed" in assumed.details["canal"]
+    given = patient(tmp_path, bone=bone, canal={"isthmus": "15 mm"})
+    assert given.details["canal"] == "15.0 mm wide at its isthmus, given"
+
+    def width(geometry: Patient, z: float) -> float:
+        """Mean width of the canal at a level."""
+        layers = geometry.surfaces(MeshOptions.model_validate({"size": "8 mm"})).bone
+        assert isinstance(layers, MeasuredLayers)
+        angles, zeta = np.linspace(0.0, 2.0 * math.pi, 48, endpoint=False), np.full(48, 0.0)
+        for _ in range(5):  # sections lean
+            zeta += z - geometry.placement.to_model(layers.canal(angles, zeta))[:, 2]
+        x, y, _ = geometry.placement.to_model(layers.canal(angles, zeta)).T
+        area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+        return 2.0 * math.sqrt(area / math.pi)
+
+    assert width(assumed, -113.0) == pytest.approx(assumed.femur.assumed_isthmus, rel=0.01)
+    assert width(given, -113.0) == pytest.approx(15.0, rel=0.01)
+    assert width(given, 5.0) == pytest.approx(width(assumed, 5.0), rel=1e-3)
+    with pytest.raises(ValidationError, match=r"leaves less than 1\.5 mm of cortex"):
+        patient(tmp_path, bone=bone, canal={"isthmus": "26 mm"})
 
 
 def test_shaft_points_below_the_end_have_places_in_the_scan(tmp_path: Path) -> None:

@@ -1,8 +1,8 @@
-"""Influence of the shaft below a scan, where it is continued, on the numbers of a run.
+"""Influence of bone that was not measured on the numbers of a run.
 
-Companions of the run on a coarser mesh differ in that shaft: in the level at which it is held, and
-in the width of its canal. The differences of their numbers show how much they depend on bone that
-was not scanned.
+A shaft is continued below the end of a scan, and a canal that no file has follows the bone.
+Companions of the run on a coarser mesh differ in them: in the level at which the shaft is held, and
+in the width of its canal. The differences of their numbers show how much they depend on this bone.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import logging
 
 from app.case.case import Case
 from app.case.quantities import TABLE, numbers_of
-from app.case.summary import ShaftInfluence, Summary
+from app.case.summary import BoneInfluence, Summary
 from app.foundation.errors import ConvergenceError, GeometryError, agree
 from app.results.error_estimate import largest_of_units
 from app.simulation.model import Model
@@ -25,31 +25,31 @@ COARSER = 2.0
 NEGLIGIBLE = 0.1
 
 
-def measured(case: Case, model: Model) -> ShaftInfluence | None:
-    """Return the changes of main numbers by other continued shafts; collective.
+def measured(case: Case, model: Model) -> BoneInfluence | None:
+    """Return the changes of main numbers by other bone where none was measured; collective.
 
-    The result is None if no shaft is continued, a companion is not solved, or the run has no main
+    The result is None if all bone was measured, a companion is not solved, or the run has no main
     numbers.
     """
     geometry = case.geometry
-    end, other_shafts = geometry.continued_below, geometry.other_shafts
-    if end is None or not other_shafts or not model.mechanical_path:
+    other_bones = geometry.other_bones
+    if not other_bones or not model.mechanical_path:
         return None
     coarsest = geometry.coarsest_size
     mesh = case.mesh.coarser(min(COARSER, coarsest / case.mesh.size) if case.mesh.size else 1.0)
     companions = [
         case.model_copy(update={"mesh": mesh, "geometry": g})
-        for g in (geometry, *other_shafts.values())
+        for g in (geometry, *other_bones.values())
     ]
     try:
         numbers_as_run, *numbers_of_others = [model.relative(each) for each in companions]
     except (ConvergenceError, GeometryError) as failure:
         agree(model.tagged.mesh.comm, failure)
-        log.warning("continued shaft: its influence is unknown: %s", str(failure).splitlines()[0])
+        log.warning("assumed bone: its influence is unknown: %s", str(failure).splitlines()[0])
         return None
     changes = dict[str, dict[str, list[float]]]()
     changes_in_words = list[str]()
-    for difference, numbers in zip(other_shafts, numbers_of_others, strict=True):
+    for difference, numbers in zip(other_bones, numbers_of_others, strict=True):
         changes[difference], largest_text = _changes(numbers_as_run, numbers)
         if not changes[difference]:
             return None
@@ -57,7 +57,7 @@ def measured(case: Case, model: Model) -> ShaftInfluence | None:
     sentence = (
         f"main numbers change {', and '.join(changes_in_words)}, on cells of {mesh.size:g} mm"
     )
-    return ShaftInfluence(end=end, mesh_size=mesh.size, changes=changes, sentence=sentence)
+    return BoneInfluence(mesh_size=mesh.size, changes=changes, sentence=sentence)
 
 
 def _changes(first: Summary, second: Summary) -> tuple[dict[str, list[float]], str]:
