@@ -484,9 +484,8 @@ class LayeredSurfaces:
         if cortex_left[thinnest] >= LEAST_CORTEX:
             self.bone.check(lines.start, lines.end)
             self.notes.append(
-                f"the stem takes up to {cortex_taken.max():.1f} mm of the cortex;"
-                " the thinnest cortex left"
-                f" beside it is {cortex_left[thinnest]:.1f} mm, {location}"
+                f"the stem takes up to {cortex_taken.max():.1f} mm of the cortex and leaves, in the"
+                f" section, at least {cortex_left[thinnest]:.1f} mm there, {location}"
             )
             return
         finding = (

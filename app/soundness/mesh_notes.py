@@ -54,7 +54,7 @@ def _mantle(note: MantleNumbers) -> str:
 
 def _cortex(thickness: float) -> str:
     """A line on the least thickness of the cortex [mm]."""
-    return f"cortex beside the stem: at least {thickness:.2f} mm"
+    return f"cortex from the tip up to z = 0: at least {thickness:.2f} mm, normal to its surface"
 
 
 def _layers(note: Mapping[str, Any]) -> str:

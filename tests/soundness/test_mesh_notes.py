@@ -19,7 +19,7 @@ def test_mesh_notes_on_the_cement() -> None:
         "cement mantle: 1.59 to 4.81 mm thick (given: 4 mm), mean 3.05, median 2.95, "
         "5th and 95th percentile 1.80 and 4.08 mm; the canal makes it thinner on 61 % of the stem; "
         "20,070 mm³ of cement, 1,238 of them below the stem",
-        "cortex beside the stem: at least 2.02 mm",
+        "cortex from the tip up to z = 0: at least 2.02 mm, normal to its surface",
     ]
 
 
