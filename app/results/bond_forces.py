@@ -231,13 +231,7 @@ class BondForces:
     def _geometry(self) -> _BondGeometry:
         """Interfaces of the mesh with contact points, the same in all states and variations."""
         problem, scene, frames = self._problem, self._problem.scene, self._problem.stiffness.frames
-        conforming = [c for c in scene.contacts if not c.between]
-        pieces, other_pieces = pieces_of(problem.tagged, [*self._bonds, *conforming])
-        unnamed = [
-            replace(self._bonds[0], name=f"{a}_{b}", master=(a,), slave=(b,))
-            for a, b in other_pieces
-        ]
-        interfaces = [*self._bonds, *conforming, *unnamed]
+        pieces, interfaces = self._pieces_and_interfaces()
         # Mechanical body of each piece.
         body = np.zeros(len(pieces.names), dtype=np.int64)
         for region, piece in pieces.of_region.items():
@@ -267,6 +261,20 @@ class BondForces:
             near_boundaries=near_boundaries,
             springs=self._springs(near_boundaries, body),
         )
+
+    def _pieces_and_interfaces(self) -> tuple[Bodies, list[Interface]]:
+        """Return the pieces of the bodies and the conforming interfaces between them.
+
+        Pieces that touch without an interface have an unnamed bond.
+        """
+        problem = self._problem
+        conforming = [c for c in problem.scene.contacts if not c.between]
+        pieces, other_pieces = pieces_of(problem.tagged, [*self._bonds, *conforming])
+        unnamed = [
+            replace(self._bonds[0], name=f"{a}_{b}", master=(a,), slave=(b,))
+            for a, b in other_pieces
+        ]
+        return pieces, [*self._bonds, *conforming, *unnamed]
 
     def _boundaries_near(self, pieces: Bodies, nodes: Ints) -> SurfaceMeasure:
         """Return measures of loaded or supported boundaries with some of the nodes; collective."""
