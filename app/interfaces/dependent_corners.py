@@ -114,20 +114,31 @@ def handed_areas(
             admissible = candidates[is_admissible(candidates)]
             if len(admissible):
                 candidates = admissible
-            if not len(candidates):
-                x, y, z = surface.x[corner]
-                raise InputError(
-                    f"interfaces.{names[int(surface.interface[corner])]}: all nodes of a face lie "
-                    f"on lines where interfaces meet, e.g. at ({x:.4g}, {y:.4g}, {z:.4g}) mm, so "
-                    "none can carry its force; use a finer mesh"
-                )
-            distances = np.linalg.norm(surface.x[candidates] - surface.x[corner], axis=1)
-            receivers = candidates[np.isclose(distances, distances.min(), rtol=1e-6)]
+            receivers = _nearest_points(surface, corner, candidates, names)
         handed_rows += [(corner, int(p), facet, int(k)) for p in receivers]
         areas += [float(facets.area[facet, k]) / len(receivers)] * len(receivers)
     corner_rows, point_rows, facet_of_area, corner_of_facet = np.array(handed_rows).T
     normals = facets.normal[facet_of_area, corner_of_facet]
     return HandedAreas(corner_rows, point_rows, normals, np.array(areas))
+
+
+def _nearest_points(
+    surface: ContactSurface, corner: int, candidates: Ints, names: Sequence[str]
+) -> Ints:
+    """Points nearest to a corner, several if they are equally near.
+
+    Raises:
+        InputError: There are no candidates.
+    """
+    if not len(candidates):
+        x, y, z = surface.x[corner]
+        raise InputError(
+            f"interfaces.{names[int(surface.interface[corner])]}: all nodes of a face lie "
+            f"on lines where interfaces meet, e.g. at ({x:.4g}, {y:.4g}, {z:.4g}) mm, so "
+            "none can carry its force; use a finer mesh"
+        )
+    distances = np.linalg.norm(surface.x[candidates] - surface.x[corner], axis=1)
+    return candidates[np.isclose(distances, distances.min(), rtol=1e-6)]
 
 
 def _faces_along(normals: Floats, direction: Floats) -> Ints:
@@ -187,18 +198,8 @@ def in_means(
     corner_face_area = _face_areas(facets, surface, normals)
     face_area = corner_face_area[:n].copy()
     is_on_face = face >= 0
-    receiving_faces = handed.point[is_on_face], face[is_on_face]
-    np.add.at(face_area, receiving_faces, handed.area[is_on_face])
-
-    # Share of a corner in the force of a point: of the pressure of a face by the area that the
-    # corner gives to this face, of friction by the whole area.
-    duals = dual_vectors(normals[:n])
-    tangential = np.eye(3) - np.einsum("pki,pkj->pij", normals[:n], duals)
-    area_fraction = handed.area / weight[handed.point]
-    share = area_fraction[:, None, None] * tangential[handed.point]
-    along_normal = normals[receiving_faces][:, :, None] * duals[receiving_faces][:, None, :]
-    face_fraction = handed.area[is_on_face] / face_area[receiving_faces]
-    share[is_on_face] += face_fraction[:, None, None] * along_normal
+    np.add.at(face_area, (handed.point[is_on_face], face[is_on_face]), handed.area[is_on_face])
+    share = _force_shares(normals[:n], handed, face, face_area, weight)
     handed_share = np.zeros((n, 3, 3))
     np.add.at(handed_share, handed.point, share)
 
@@ -227,6 +228,33 @@ def in_means(
     surface = replace(surface, dependence=dependence)
     points = replace(points, weight=weight, surface=surface)
     return points, _transformed(entries, inverse)
+
+
+def _force_shares(
+    normals: Floats, handed: HandedAreas, face: Ints, face_area: Floats, weight: Floats
+) -> Floats:
+    """Share of a corner in the force of a point, for each area that it gives (k, 3, 3) [-].
+
+    The corner has a share of the pressure of a face by the area that it gives to this face, and a
+    share of friction by the whole area.
+
+    Args:
+        normals: Unit normals of the faces of points (n, 3, 3).
+        handed: Areas that the points receive.
+        face: Face of the point that receives each area, or -1 (k,).
+        face_area: Areas of the faces of points, with the received areas (n, 3) [mm2].
+        weight: Areas of the points, with the received areas (n,) [mm2].
+    """
+    duals = dual_vectors(normals)
+    tangential = np.eye(3) - np.einsum("pki,pkj->pij", normals, duals)
+    area_fraction = handed.area / weight[handed.point]
+    share = area_fraction[:, None, None] * tangential[handed.point]
+    is_on_face = face >= 0
+    faces = handed.point[is_on_face], face[is_on_face]
+    along_normal = normals[faces][:, :, None] * duals[faces][:, None, :]
+    face_fraction = handed.area[is_on_face] / face_area[faces]
+    share[is_on_face] += face_fraction[:, None, None] * along_normal
+    return np.asarray(share)
 
 
 def _transformed(entries: Entries, inverse: csr_array) -> Entries:
