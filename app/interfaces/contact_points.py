@@ -117,10 +117,10 @@ def contact_points(
     if count == len(surface.vertex):
         return points, entries
     # Imported late: interfaces that do not meet need no scipy.
-    from app.interfaces.dependent_corners import handed_areas, in_means
+    from app.interfaces.dependent_corners import transferred_areas, with_mean_jumps
 
-    handed = handed_areas(facets, surface, prescribed_projectors, interfaces, by_face)
-    return in_means(facets, points, entries, handed, interfaces, by_face)
+    transferred = transferred_areas(facets, surface, prescribed_projectors, interfaces, by_face)
+    return with_mean_jumps(facets, points, entries, transferred, interfaces, by_face)
 
 
 def _surface(
