@@ -189,7 +189,7 @@ def _stiffest_body(problem: Problem) -> int:
     """The body with the largest modulus; rigid ones come first."""
     modulus = np.zeros(len(problem.bodies.names))
     for region, value in problem.scene.moduli.items():
-        body = problem.bodies.of_region[region]
+        body = problem.bodies.body_of_region[region]
         modulus[body] = max(modulus[body], value)
     return int(modulus.argmax())
 
@@ -204,7 +204,7 @@ def _scaled_rigid_motions(x: Floats) -> Floats:
 
 def _unmoved_components(problem: Problem, contact: ContactInterfaces, body: int) -> Bools:
     """Owned nodal components of a body that no jump moves (n, 3); collective."""
-    cells = problem.bodies.of_tag[cell_tags(problem.tagged)] == body
+    cells = problem.bodies.body_of_tag[cell_tags(problem.tagged)] == body
     nodes = touched_nodes(problem.space, cells)
     unmoved = np.repeat(nodes[:, None], 3, axis=1)
     if body in contact.coupling.jump_to_displacement:

@@ -56,7 +56,7 @@ def _support_of_dofs(body_forms: BodyForms, stage: int, frames: Frames | None) -
             support_of_frames[rigid_nodes[rows]] = -1
         for s in active_supports:
             patch = patches[s]
-            facets_of_body = patch.facets[bodies.of_tag[tags[patch.cells]] == body]
+            facets_of_body = patch.facets[bodies.body_of_tag[tags[patch.cells]] == body]
             nodes = fem.locate_dofs_topological(space, 2, facets_of_body.astype(np.int32))
             for c in np.flatnonzero(scene.supports[s].components):
                 support[nodes, c] = s

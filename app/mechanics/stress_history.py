@@ -67,7 +67,7 @@ class StressHistory:
     def __init__(self, body_forms: BodyForms) -> None:
         self._body_forms, scene = body_forms, body_forms.scene
         regions = sorted(body_forms.path_dependent_regions)
-        self._body_of_region = {r: body_forms.bodies.of_region[r] for r in regions}
+        self._body_of_region = {r: body_forms.bodies.body_of_region[r] for r in regions}
         self.bodies = sorted(set(self._body_of_region.values()))
         self._elastic = {e.region: e for e in scene.elastic if e.region in regions}
         for e in self._elastic.values():

@@ -165,7 +165,7 @@ class Balance:
 
     def _work_of(self, elastic_region: Elastic, strain: Expr) -> ufl.Form:
         body_forms, problem = self._problem.body_forms, self._problem
-        U = problem.displacements()[problem.bodies.of_region[elastic_region.region]]
+        U = problem.displacements()[problem.bodies.body_of_region[elastic_region.region]]
         σ = elasticity.stress(
             lambda ε: body_forms.energy_density(elastic_region, ε),
             body_forms.elastic_strain(elastic_region, U),
@@ -287,7 +287,7 @@ class Balance:
         problem, comm = self._problem, self._problem.comm
         outer = current.outer.reshape(-1, 3)
         followers = problem.followers
-        arm = (followers.places(self._nodes) if followers else self._nodes) - self._about
+        arm = (followers.rotated_positions(self._nodes) if followers else self._nodes) - self._about
         sums = np.array([outer.sum(axis=0), np.cross(arm, outer).sum(axis=0)])
         force, moment = comm.allreduce(sums)
         loads = sum(np.linalg.norm(r) for r in problem.forces.resultants(problem.load_time))

@@ -203,7 +203,7 @@ class BondForces:
         for region, (rows, nodes, gradients) in geometry.cells.items():
             σ = self._stresses.evaluate(region)[rows]
             forces = np.einsum("cqij,cqnj->cni", σ, gradients)
-            np.add.at(nodal[geometry.pieces.of_region[region]], nodes, forces)
+            np.add.at(nodal[geometry.pieces.body_of_region[region]], nodes, forces)
         exerted = problem.comm.allreduce(nodal)[:, :-1]
         for load in problem.scene.loads:
             if geometry.near_boundaries.has(load.boundaries):
@@ -234,8 +234,8 @@ class BondForces:
         pieces, interfaces = self._pieces_and_interfaces()
         # Mechanical body of each piece.
         body = np.zeros(len(pieces.names), dtype=np.int64)
-        for region, piece in pieces.of_region.items():
-            body[piece] = problem.bodies.of_region[region]
+        for region, piece in pieces.body_of_region.items():
+            body[piece] = problem.bodies.body_of_region[region]
         if frames is not None:
             frames = replace(frames, acts=frames.acts[:, body])
         facets = contact_facets(problem.tagged, pieces, problem.space, interfaces, scene.moduli)
@@ -255,7 +255,9 @@ class BondForces:
             entries=entries,
             surfaces=surfaces,
             pieces=pieces,
-            rigid=np.unique([pieces.of_region[r.region] for r in scene.rigid]).astype(np.int64),
+            rigid=np.unique([pieces.body_of_region[r.region] for r in scene.rigid]).astype(
+                np.int64
+            ),
             nodes=nodes,
             cells={r: self._cells(r, nodes) for r in self._stresses.cells},
             near_boundaries=near_boundaries,
@@ -348,6 +350,6 @@ class BondForces:
         )
         x = geometry.x[geometry.dofmap[stresses.cells[region][rows]]]
         inverse = np.linalg.inv(np.einsum("cni,jqn->cqij", x, of_x))
-        volumes = stresses.places(region)[1][rows]
+        volumes = stresses.points_and_volumes(region)[1][rows]
         gradients = np.einsum("cq,jqn,cqji->cqni", volumes, of_u, inverse, optimize=True)
         return rows, near_rows[rows], gradients

@@ -44,7 +44,7 @@ class Heat:
         self.operators = SimpleNamespace(
             comm=MPI.COMM_SELF,
             forms=SimpleNamespace(space=fem.functionspace(cube, ("Lagrange", 1)), owned=8),
-            bodies=SimpleNamespace(names=regions, of_region={"stem": 0, "cement": 1}),
+            bodies=SimpleNamespace(names=regions, body_of_region={"stem": 0, "cement": 1}),
             cure=SimpleNamespace(nodes=[curing]),
             scene=SimpleNamespace(
                 expansions=[laws.expansion(region, α_T, COLD) for region in regions],
