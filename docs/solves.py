@@ -45,7 +45,7 @@ def measure(order: str, size: str, way: str) -> dict[str, Any]:
     case = load(CONFIGS / FEMUR, [*STANCE, *STEPS, *keys]).config
     timing, begin, ends = Timing(), process_time(), [0.0]
     model = Model(case, MPI.COMM_WORLD, {}, timing, str)
-    model.go(lambda *_: ends.append(process_time() - begin))
+    model.run(lambda *_: ends.append(process_time() - begin))
     assert model.mechanical_path
     ends[0] = sum(timing.cpu.get(phase, 0.0) for phase in ("mesh", "compile"))
     first, *later = (b - a for a, b in pairwise(ends))

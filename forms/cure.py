@@ -67,7 +67,7 @@ def modulus_factor(a: Expr, gel: Scalar, floor: Scalar, exponent: Scalar) -> Exp
     return floor + (1 - floor) * (max_value(a - gel, 0) / (1 - gel)) ** exponent
 
 
-def solid_share(a_old: Expr, a: Expr, gel: Scalar) -> Expr:
+def solid_fraction(a_old: Expr, a: Expr, gel: Scalar) -> Expr:
     """Share of a step after gelation [-], for a degree of cure that is linear in the step."""
     share_after_gelation = (a - gel) / conditional(lt(a_old, a), a - a_old, 1)
     return conditional(ge(a_old, gel), 1, conditional(le(a, gel), 0, share_after_gelation))
@@ -96,7 +96,7 @@ def free_strain_increment(
         expansion: Thermal expansion α_T [1/K].
         shrinkage: Volumetric shrinkage s from gelation to full cure.
     """
-    thermal = expansion * solid_share(a_old, a, gel) * (T - T_old)
+    thermal = expansion * solid_fraction(a_old, a, gel) * (T - T_old)
     cure_after_gelation = max_value(a, gel) - max_value(a_old, gel)
     return thermal - shrinkage / 3 * cure_after_gelation / (1 - gel)
 

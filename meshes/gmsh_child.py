@@ -197,31 +197,21 @@ def read(request: ReadRequest) -> dict[str, ArrayLike]:
             except Exception as error:  # gmsh raises bare Exception
                 fault = "is damaged or cut short; export it again"
                 raise GeometryError(f"{path}: {fault} (gmsh: {error})") from error
-        entities_of_group: dict[int, dict[str, list[int]]] = {2: {}, 3: {}}
-        for dim, tag in gmsh.model.getPhysicalGroups(2) + gmsh.model.getPhysicalGroups(3):
-            entities = gmsh.model.getEntitiesForPhysicalGroup(dim, tag)
-            entities_of_group[dim].setdefault(gmsh.model.getPhysicalName(dim, tag), []).extend(
-                entities
-            )
+        groups_of_surfaces, groups_of_volumes = _physical_groups(gmsh, 2), _physical_groups(gmsh, 3)
         listing = (
-            f"{path}: physical volumes: {_listed(entities_of_group[3])}; "
-            f"physical surfaces: {_listed(entities_of_group[2])}"
+            f"{path}: physical volumes: {_listed(groups_of_volumes)}; "
+            f"physical surfaces: {_listed(groups_of_surfaces)}"
         )
         surfaces, regions = (
-            {n: group for n, group in entities_of_group[d].items() if n} for d in (2, 3)
+            {name: group for name, group in groups.items() if name}
+            for groups in (groups_of_surfaces, groups_of_volumes)
         )
         if not regions:
             raise GeometryError(
                 f"{listing}; name every region (and boundary) with a physical group"
             )
-        mesh, volumes = gmsh.model.mesh, [volume for group in regions.values() for volume in group]
-        kinds = {int(kind) for volume in volumes for kind in mesh.getElementTypes(3, volume)}
-        if len(kinds) > 1 or not kinds <= {4, 11}:
-            labels = ", ".join(sorted(mesh.getElementProperties(kind)[0] for kind in kinds))
-            raise GeometryError(
-                f"{path}: the cells are of type {labels}; only straight tetrahedra, or only "
-                "quadratic ones, can be used"
-            )
+        is_quadratic = _are_quadratic(gmsh, path, regions)
+        mesh = gmsh.model.mesh
         numbers, x, _ = mesh.getNodes()
         bad_nodes = numbers[~np.isfinite(x.reshape(-1, 3)).all(axis=1)]
         if len(bad_nodes):
@@ -230,7 +220,7 @@ def read(request: ReadRequest) -> dict[str, ArrayLike]:
                 "mesh again"
             )
         points, row = nodes(gmsh)
-        tet, triangle = (11, 9) if 11 in kinds else (4, 2)
+        tet, triangle = (11, 9) if is_quadratic else (4, 2)
         cells = {name: elements(gmsh, tet, group, row) for name, group in sorted(regions.items())}
         filled_regions = {mesh_files.word(name) for name, block in cells.items() if len(block)}
         absent = [name for name in request["regions"] if name not in filled_regions]
@@ -245,6 +235,33 @@ def read(request: ReadRequest) -> dict[str, ArrayLike]:
         for name, group in surfaces.items():
             arrays[f"surfaces {name}"] = elements(gmsh, triangle, group, row)
         return arrays
+
+
+def _physical_groups(gmsh: ModuleType, dim: int) -> dict[str, list[int]]:
+    """Entities of the physical groups of a dimension, by the name of the group."""
+    groups: dict[str, list[int]] = {}
+    for _, tag in gmsh.model.getPhysicalGroups(dim):
+        name = gmsh.model.getPhysicalName(dim, tag)
+        groups.setdefault(name, []).extend(gmsh.model.getEntitiesForPhysicalGroup(dim, tag))
+    return groups
+
+
+def _are_quadratic(gmsh: ModuleType, path: Path, regions: dict[str, list[int]]) -> bool:
+    """Return True if the cells of the regions are quadratic tetrahedra, False if straight.
+
+    Raises:
+        GeometryError: The cells are of other types, or of both.
+    """
+    mesh = gmsh.model.mesh
+    volumes = [volume for group in regions.values() for volume in group]
+    kinds = {int(kind) for volume in volumes for kind in mesh.getElementTypes(3, volume)}
+    if len(kinds) > 1 or not kinds <= {4, 11}:
+        labels = ", ".join(sorted(mesh.getElementProperties(kind)[0] for kind in kinds))
+        raise GeometryError(
+            f"{path}: the cells are of type {labels}; only straight tetrahedra, or only "
+            "quadratic ones, can be used"
+        )
+    return 11 in kinds
 
 
 def _run_script(gmsh: ModuleType, request: ReadRequest) -> None:

@@ -108,22 +108,37 @@ def build(geometry: FileKeys, mesh: MeshKeys) -> MeshData:
     }
     boundaries = {name: mask for name, mask in masks.items() if mask.any()}
     data = assemble(points, cells, cell_tags, regions, geometry.interfaces, boundaries, facets)
-    turned_text = f"geometry: {negative.sum()} of {len(cells)} cells of the file list their nodes "
-    turned_text += "inside out: they are turned, and no cell overlaps its neighbours"
-    messages = [*([turned_text] if negative.any() else []), *mesh_file.messages]
-    everything = mesh_file.everything
-    if everything > len(cells):
-        messages.append(
-            f"geometry: {everything - len(cells)} of {everything} cells of the file belong to no "
-            "region: they are left out"
-        )
     notes = {
         "file": str(path),
         "interior_surfaces": sorted({*masks} - {*boundaries}),
-        "cells_without_region": everything - len(cells),
-        "messages": messages,
+        "cells_without_region": mesh_file.everything - len(cells),
+        "messages": _messages(mesh_file, len(cells), int(negative.sum())),
     }
     return replace(data, notes=notes)
+
+
+def _messages(mesh_file: FileMesh, cells: int, inverted: int) -> list[str]:
+    """Notes on repairs: inverted cells, the reader's notes, cells without a region.
+
+    Args:
+        mesh_file: The file.
+        cells: Number of cells in regions.
+        inverted: Number of cells that were inside out.
+    """
+    messages = []
+    if inverted:
+        messages.append(
+            f"geometry: {inverted} of {cells} cells of the file list their nodes "
+            "inside out: they are turned, and no cell overlaps its neighbours"
+        )
+    messages += mesh_file.messages
+    everything = mesh_file.everything
+    if everything > cells:
+        messages.append(
+            f"geometry: {everything - cells} of {everything} cells of the file belong to no "
+            "region: they are left out"
+        )
+    return messages
 
 
 def _read(geometry: FileKeys, mesh: MeshKeys) -> FileMesh:

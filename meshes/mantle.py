@@ -55,10 +55,7 @@ def describe(
     p5, median, p95 = np.interp([0.05, 0.5, 0.95], area_fraction, distances[order])
     cells = data.cells[data.cell_tags == data.regions["cement"]]
     volumes = cell_volumes(data.points, cells)
-    z = data.points[cells[:, :4], 2]
-    share_below = (z.max(axis=1) < tip).astype(float)
-    is_cut = (z.min(axis=1) < tip) & (z.max(axis=1) >= tip)
-    share_below[is_cut] = (z[is_cut] @ LATTICE.T < tip).mean(axis=1)
+    plug_fraction = _fraction_below(data.points[cells[:, :4], 2], tip)
     note: dict[str, Any] = {
         "thickness": {
             "nominal": nominal,
@@ -73,7 +70,7 @@ def describe(
             ),
         },
         "volume": float(volumes.sum()),
-        "plug_volume": float(volumes @ share_below),
+        "plug_volume": float(volumes @ plug_fraction),
     }
     if zones:
         zone_of = zones.zones_at(centres)
@@ -88,6 +85,14 @@ def describe(
             if in_this_zone.any()
         }
     return note
+
+
+def _fraction_below(z: Floats, level: float) -> Floats:
+    """Volume fraction of tetrahedra below a level [mm] (m,), from the heights z (m, 4) [mm]."""
+    fraction = (z.max(axis=1) < level).astype(float)
+    is_cut = (z.min(axis=1) < level) & (z.max(axis=1) >= level)
+    fraction[is_cut] = (z[is_cut] @ LATTICE.T < level).mean(axis=1)
+    return fraction
 
 
 def least_cortex(data: MeshData, tip: float) -> float:

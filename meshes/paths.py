@@ -341,16 +341,10 @@ def _chain(
             )
     start, end = edge_points
     if side_values is not None:
-        start_value, end_value = values
-        is_kept = np.maximum(start_value, end_value) > 0
-        step = np.where(start_value == end_value, 1.0, end_value - start_value)
-        zero_fraction = (-start_value / step)[:, None]
-        cut_start = np.where(
-            (start_value < 0)[:, None], start + zero_fraction * (end - start), start
-        )
-        cut_end = np.where((end_value < 0)[:, None], start + zero_fraction * (end - start), end)
-        start, end = cut_start[is_kept], cut_end[is_kept]
-        facet, keys = facet[is_kept], [k[is_kept] for k in keys]
+        start, end = _cut_off(start, end, *values)
+        is_kept = np.maximum(*values) > 0
+        start, end, facet = start[is_kept], end[is_kept], facet[is_kept]
+        keys = [k[is_kept] for k in keys]
     x = data.points[facets.nodes[facet, :3]]
     length = np.linalg.norm(np.einsum("sc,sci->si", end - start, x), axis=1)
     order, flipped, closed = _longest(np.column_stack(keys), length)
@@ -364,6 +358,21 @@ def _chain(
         np.where(flip, last_ends, first_ends),
         np.where(flip, first_ends, last_ends),
         closed,
+    )
+
+
+def _cut_off(
+    start: Floats, end: Floats, start_value: Floats, end_value: Floats
+) -> tuple[Floats, Floats]:
+    """Ends of segments (s, 3), moved to where a linear value is zero if it is negative there.
+
+    Segments with negative values at both ends have no meaning afterwards.
+    """
+    step = np.where(start_value == end_value, 1.0, end_value - start_value)
+    zero = start + (-start_value / step)[:, None] * (end - start)
+    return (
+        np.where((start_value < 0)[:, None], zero, start),
+        np.where((end_value < 0)[:, None], zero, end),
     )
 
 

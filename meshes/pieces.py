@@ -145,7 +145,6 @@ def pieces_of_mesh(
         meshed_apart: Both boundaries of each interface that is meshed apart. The smaller one
             touches the other.
     """
-    name_of_tag = {tag: name for name, tag in data.regions.items()}
     piece = components(data.neighbours, data.cell_tags)
     count = int(piece.max()) + 1
     faces = cell_faces(data.cells)
@@ -163,23 +162,16 @@ def pieces_of_mesh(
     is_free = piece_of_face != piece_behind
     tags = [t for name in supported for t in data.boundaries.get(name, ())]
     is_free[outside[np.isin(keys, tagged_keys[np.isin(data.facet_tags, tags)])]] = False
+    areas: Floats
+    free: Floats
     areas, free = (
-        np.bincount(piece_of_face[mask], facet_areas(data.points, faces[mask]), minlength=count)
+        np.bincount(
+            piece_of_face[mask], facet_areas(data.points, faces[mask]), minlength=count
+        ).astype(float)
         for mask in (piece_of_face != piece_behind, is_free)
     )
-    volumes = cell_volumes(data.points, data.cells)
     middles = data.points[data.cells[:, :4]].mean(axis=1)
-    pieces = []
-    for k in range(count):
-        in_piece = piece == k
-        volume = float(volumes[in_piece].sum())
-        centre = volumes[in_piece] @ middles[in_piece] / volume
-        box = np.ptp(data.points[np.unique(data.cells[in_piece, :4])], axis=0)
-        region = name_of_tag[int(data.cell_tags[in_piece][0])]
-        free_fraction = float(free[k] / areas[k])
-        pieces.append(
-            Piece(region, int(in_piece.sum()), centre, volume, float(areas[k]), box, free_fraction)
-        )
+    pieces = _pieces(data, piece, middles, areas, free)
     rows = np.flatnonzero(piece_of_face < piece_behind)
     touches = _touches(data.points, faces[rows], piece_of_face[rows], piece_behind[rows])
     for sides in (meshed_apart or {}).values():
@@ -194,6 +186,34 @@ def pieces_of_mesh(
         doubled=_doubled(data, piece, pieces),
         faces=meshed_apart or {},
     )
+
+
+def _pieces(
+    data: MeshData, piece_of_cell: Ints, middles: Floats, areas: Floats, free: Floats
+) -> list[Piece]:
+    """The connected pieces of a mesh.
+
+    Args:
+        data: The mesh.
+        piece_of_cell: Piece of each cell (m,).
+        middles: Middles of the cells (m, 3) [mm].
+        areas: Surface of each piece [mm2].
+        free: Part of it without support and contact [mm2].
+    """
+    name_of_tag = {tag: name for name, tag in data.regions.items()}
+    volumes = cell_volumes(data.points, data.cells)
+    pieces = []
+    for k, (area, free_area) in enumerate(zip(areas, free, strict=True)):
+        in_piece = piece_of_cell == k
+        volume = float(volumes[in_piece].sum())
+        centre = volumes[in_piece] @ middles[in_piece] / volume
+        box = np.ptp(data.points[np.unique(data.cells[in_piece, :4])], axis=0)
+        region = name_of_tag[int(data.cell_tags[in_piece][0])]
+        free_fraction = float(free_area / area)
+        pieces.append(
+            Piece(region, int(in_piece.sum()), centre, volume, float(area), box, free_fraction)
+        )
+    return pieces
 
 
 def _touches(points: Floats, facets: Ints, first_piece: Ints, second_piece: Ints) -> list[Touch]:
@@ -326,27 +346,19 @@ def touching_without_shared_nodes(data: MeshData) -> dict[tuple[str, str], tuple
     if body.max(initial=0) == 0:
         return {}
     x = data.points[facets]
-    normals = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    areas = np.linalg.norm(normals, axis=1) / 2
-    normals /= np.maximum(2 * areas, np.finfo(float).tiny)[:, None]
+    area_vectors = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    areas = np.linalg.norm(area_vectors, axis=1) / 2
+    lengths = np.maximum(2 * areas, np.finfo(float).tiny)
+    normals: Floats = np.asarray(area_vectors / lengths[:, None], dtype=float)
     middles = x.mean(axis=1)
-    rise = _rise(x, facets, np.asarray(normals, dtype=float))
+    rise = _rise(x, facets, normals)
     tolerance = COINCIDENT * float(np.linalg.norm(np.ptp(data.points, axis=0)))
     area: dict[tuple[str, str], float] = {}
     point_on_pair: dict[tuple[str, str], Floats] = {}
     for a, b in combinations(range(int(body.max()) + 1), 2):
         body_facets = [np.flatnonzero(body == k) for k in (a, b)]
         margin = max(float(rise[rows].max()) for rows in body_facets) + tolerance
-        box_lower = np.max([x[rows].min(axis=(0, 1)) for rows in body_facets], axis=0) - margin
-        box_upper = np.min([x[rows].max(axis=(0, 1)) for rows in body_facets], axis=0) + margin
-        # Facets in the box that both bodies share.
-        near_facets = [
-            rows[
-                (x[rows].max(axis=1) >= box_lower).all(axis=1)
-                & (x[rows].min(axis=1) <= box_upper).all(axis=1)
-            ]
-            for rows in body_facets
-        ]
+        near_facets = _in_common_box(x, body_facets, margin)
         if not all(map(len, near_facets)):
             continue
         pair_areas: dict[tuple[str, str], list[float]] = {}
@@ -375,6 +387,20 @@ def touching_without_shared_nodes(data: MeshData) -> dict[tuple[str, str], tuple
         for pair, side_areas in pair_areas.items():
             area[pair] = area.get(pair, 0.0) + max(side_areas)
     return {pair: (area[pair], point_on_pair[pair]) for pair in area}
+
+
+def _in_common_box(x: Floats, body_facets: list[Ints], margin: float) -> list[Ints]:
+    """Facets of each body in the common part of the bounding boxes of the bodies.
+
+    Args:
+        x: Corners of all facets (k, 3, 3) [mm].
+        body_facets: Rows of the facets of each body.
+        margin: Distance by which the common box is extended [mm].
+    """
+    lower = np.max([x[rows].min(axis=(0, 1)) for rows in body_facets], axis=0) - margin
+    upper = np.min([x[rows].max(axis=(0, 1)) for rows in body_facets], axis=0) + margin
+    is_inside = (x.max(axis=1) >= lower).all(axis=1) & (x.min(axis=1) <= upper).all(axis=1)
+    return [rows[is_inside[rows]] for rows in body_facets]
 
 
 def _rise(x: Floats, facets: Ints, normals: Floats) -> Floats:

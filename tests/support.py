@@ -153,7 +153,7 @@ class Solved:
 
     def displacement(self, region: str) -> tuple[Floats, Floats]:
         """Positions and displacements of the nodes of a region (n, 3), in series [mm]."""
-        function = self.problem.displacements()[self.problem.bodies.of_region[region]]
+        function = self.problem.displacements()[self.problem.bodies.body_of_region[region]]
         space = self.problem.space
         cells = self.tagged.cell_tags.find(self.tagged.regions[region])
         nodes = np.unique(space.dofmap.list[cells])

@@ -23,7 +23,7 @@ from app.case.quantities import (
     add_interface_field,
     add_quantity,
 )
-from app.results.records import Followed, add_record
+from app.results.records import RecordedModel, add_record
 from app.scene.scene import mean_exchange
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from app.bearing.friction_cycles import Bearings
 
 
-def _bearings(case: Case, followed: Followed) -> Bearings | None:
+def _bearings(case: Case, followed: RecordedModel) -> Bearings | None:
     """The record of a run, or None without finite sliding; collective."""
     if not any(law.finite_sliding for law in case.interfaces.values()):
         return None
@@ -40,7 +40,7 @@ def _bearings(case: Case, followed: Followed) -> Bearings | None:
     return Bearings(followed.problem, case)
 
 
-def _cycle_heat(case: Case, followed: Followed) -> CycleHeat | None:
+def _cycle_heat(case: Case, followed: RecordedModel) -> CycleHeat | None:
     """The heat of a run, or None if none flows between sides with finite sliding; collective."""
     if followed.heat is None or not followed.problem.scene.sliding_heat:
         return None

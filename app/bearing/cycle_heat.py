@@ -104,7 +104,7 @@ class CycleHeat(Record):
     def _set(self) -> None:
         """Set friction and exchange of the heat; collective."""
         operators, comm = self._step.operators, self._problem.comm
-        forms, of_region = operators.forms, operators.bodies.of_region
+        forms, body_of_region = operators.forms, operators.bodies.body_of_region
         start, end = forms.space.dofmap.index_map.local_range
         body: Ints = np.zeros(forms.owned, dtype=np.int64)
         exchanges, slaves = [], {}
@@ -114,7 +114,7 @@ class CycleHeat(Record):
             heat, exchange = self._means(c, *sides)
             for side, region in zip(sides, (c.master[0], c.slave[0]), strict=True):
                 own_rows = side.dofs[(side.dofs >= start) & (side.dofs < end)] - start
-                body[own_rows], slaves[c.name] = of_region[region], own_rows
+                body[own_rows], slaves[c.name] = body_of_region[region], own_rows
             dofs = np.concatenate([side.dofs for side in sides])
             owned, rows = (dofs >= start) & (dofs < end), dofs - start
             friction = operators.friction

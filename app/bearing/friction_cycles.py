@@ -176,7 +176,7 @@ class Bearing:
         contact, c = problem.contact, problem.scene.contacts[i]
         assert contact is not None and contact.finite_sliding is not None
         self._problem, self._interface = problem, c
-        self._body = problem.bodies.of_region[c.master[0]]
+        self._body = problem.bodies.body_of_region[c.master[0]]
         self._motion = problem.scene.motion_of(c.master)
         points = contact.points
         self._rows: Ints = np.flatnonzero(points.interface == i)

@@ -244,7 +244,7 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
 def _text(runs: Sequence[BatchRun]) -> str:
     """Return the case file of a process: its only run, or all its runs as variations."""
     first_run = runs[0]
-    if not first_run.shares:
+    if not first_run.shares_process:
         return dump(first_run.planned.case)
     data = plain(first_run.planned.case)
     _, base = split(data)

@@ -136,19 +136,19 @@ class Evaluations:
         """
         step = self.problem.fit.step
         steps = {}
-        for k, fraction in enumerate(run.shares):
+        for k, fraction in enumerate(run.fractions):
             steps[k] = step if fraction + step <= 1.0 else -step
         changed_runs = self._changed_runs(run, steps)
         opposite_steps = {}
         for k, changed_run in changed_runs.items():
-            opposite = run.shares[k] - steps[k]
+            opposite = run.fractions[k] - steps[k]
             if not changed_run.done and 0.0 <= opposite <= 1.0:
                 opposite_steps[k] = -steps[k]
         changed_runs |= self._changed_runs(run, opposite_steps)
         columns = []
         for k, changed_run in changed_runs.items():
             difference = changed_run.array - run.array
-            columns.append(difference / (changed_run.shares[k] - run.shares[k]))
+            columns.append(difference / (changed_run.fractions[k] - run.fractions[k]))
         return np.array(columns).T
 
     def _changed_runs(self, run: FitRun, steps: Mapping[int, float]) -> dict[int, FitRun]:
@@ -156,8 +156,8 @@ class Evaluations:
         requested = {}
         for k, step in steps.items():
             sign = "+" if step > 0 else "-"
-            unit = np.eye(len(run.shares))[k]
-            requested[f"{run.name}, {sign}{self._short[k]}"] = run.shares + step * unit
+            unit = np.eye(len(run.fractions))[k]
+            requested[f"{run.name}, {sign}{self._short[k]}"] = run.fractions + step * unit
         return dict(zip(steps, self(requested), strict=True))
 
 
@@ -225,7 +225,7 @@ def _reach_targets(evaluate: Evaluations, start: FitRun) -> Outcome:
     try:
         least_squares_result = least_squares(
             deviations,
-            start.shares,
+            start.fractions,
             jacobian,
             bounds=(0.0, 1.0),
             method="dogbox",
@@ -246,7 +246,7 @@ def _cost(problem: FitProblem, run: FitRun) -> float:
     fit = problem.fit
     sign = 1.0 if fit.minimise else -1.0
     if fit.objective in fit.keys:
-        fraction = float(run.shares[[*fit.keys].index(fit.objective)])
+        fraction = float(run.fractions[[*fit.keys].index(fit.objective)])
         return sign * fraction if run.done else math.nan
     return sign * float(run.array[fit.numbers.index(fit.objective)])
 
@@ -281,13 +281,13 @@ def _find_extremum(evaluate: Evaluations, start: FitRun) -> Outcome:
         "final_tr_radius": LAST_RADIUS,
         "feasibility_tol": FEASIBLE,
     }
-    bounds = [(0.0, 1.0)] * len(start.shares)
+    bounds = [(0.0, 1.0)] * len(start.fractions)
     converged = True
     derivatives = None
     try:
         minimize(
             cost,
-            start.shares,
+            start.fractions,
             method="COBYQA",
             bounds=bounds,
             constraints=constraints,

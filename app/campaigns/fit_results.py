@@ -36,7 +36,7 @@ class FitRun:
 
     Attributes:
         name: ``start``, ``step 3``, or ``step 3, +friction_coefficient`` for a derivative.
-        shares: Keys as fractions of their ranges, after rounding in the case (keys,).
+        fractions: Keys as fractions of their ranges, after rounding in the case (keys,).
         values: Values of the keys.
         array: Numbers of the fit in units of ``summary.json`` (numbers,); nan if the run failed.
         misfit: Sum over the targets of the squares of (number - value) / uncertainty; nan without
@@ -48,7 +48,7 @@ class FitRun:
     """
 
     name: str
-    shares: Floats
+    fractions: Floats
     values: dict[str, object]
     array: Floats
     misfit: float
@@ -188,7 +188,7 @@ class FitRecord(TypedDict):
 
 
 def fit_run(
-    problem: FitProblem, name: str, shares: Floats, result: Result | None, refusal: str
+    problem: FitProblem, name: str, fractions: Floats, result: Result | None, refusal: str
 ) -> FitRun:
     """Return a run of a fit, from its result or the reason of its refusal.
 
@@ -196,11 +196,11 @@ def fit_run(
         InputError: The results do not contain a number of the fit.
     """
     number_names = problem.fit.numbers
-    values = problem.values(shares)
+    values = problem.values(fractions)
     array: Floats = np.full(len(number_names), np.nan)
     if result is None:
         code, message = InputError.exit_code, refusal
-        return FitRun(name, shares, values, array, math.nan, code, message, 0.0, None)
+        return FitRun(name, fractions, values, array, math.nan, code, message, 0.0, None)
     if result.exit_code == 0:
         numbers = {n: quantities.read(result.summary, n) for n in number_names}
         text = "is not in summary.json of this case; mantle explain lists the results"
@@ -214,7 +214,7 @@ def fit_run(
         misfit = float(sum(((v - t.value) / t.uncertainty) ** 2 for v, t in pairs))
     return FitRun(
         name,
-        shares,
+        fractions,
         values,
         array,
         misfit,
@@ -291,7 +291,7 @@ def _key_rows(
 ) -> dict[str, KeyRow]:
     rows: dict[str, KeyRow] = {}
     for k, (key, bounds) in enumerate(problem.fit.keys.items()):
-        fraction = float(best_run.shares[k])
+        fraction = float(best_run.fractions[k])
         deviation = float(identified.uncertainties[k]) if identified else math.inf
         determined = deviation < KNOWN_RANGE
         interval_ends = (
@@ -353,7 +353,7 @@ def _run_row(problem: FitProblem, run: FitRun, folder: Path) -> FitRow:
     return {
         "name": run.name,
         "values": run.values,
-        "shares": _floats(run.shares),
+        "shares": _floats(run.fractions),
         "numbers": {n: float(v) for n, v in zip(number_names, run.array, strict=True) if run.done},
         "misfit": run.misfit if math.isfinite(run.misfit) else None,
         "exit_code": run.exit_code,

@@ -73,7 +73,7 @@ def _of_keys(
     """Verdicts on keys at their bounds, without keys that the targets do not determine."""
     fit = problem.fit
     for k, (key, bounds) in enumerate(fit.keys.items()):
-        bound = at_bound(float(best_run.shares[k]))
+        bound = at_bound(float(best_run.fractions[k]))
         if not bound or (identified is not None and identified.uncertainties[k] >= KNOWN_RANGE):
             continue
         bound_name, end = ("lower", bounds.low) if bound == "low" else ("upper", bounds.high)
@@ -85,7 +85,7 @@ def _of_keys(
 
 def _of_targets(problem: FitProblem, best_run: FitRun) -> Iterator[Verdict]:
     """Verdicts on targets that the best run does not reach."""
-    bounded = any(at_bound(float(fraction)) for fraction in best_run.shares)
+    bounded = any(at_bound(float(fraction)) for fraction in best_run.fractions)
     remedy = "widen the bounds" if bounded else "check the target and its uncertainty"
     cure = f"{remedy}, or add a key that changes this number"
     for name, value in zip(problem.fit.numbers, best_run.array, strict=True):

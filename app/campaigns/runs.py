@@ -77,18 +77,18 @@ class BatchRun:
     path: Path
 
     @property
-    def shares(self) -> bool:
+    def shares_process(self) -> bool:
         """Return True if other runs share the process."""
         return self.path.parent.name.startswith(SHARED)
 
     @property
     def process(self) -> str:
         """Id of its process."""
-        return self.path.parent.name if self.shares else self.id
+        return self.path.parent.name if self.shares_process else self.id
 
     def file(self, kind: str) -> Path:
         """Return the file of its process with a suffix (``log``, ``status``, ``ok``, ``slurm``)."""
-        folder = self.path.parent if self.shares else self.path
+        folder = self.path.parent if self.shares_process else self.path
         return folder.with_name(f"{folder.name}.{kind}")
 
     def status(self) -> tuple[int, float] | None:
@@ -193,7 +193,7 @@ def result_of(run: BatchRun, planned: PlannedRun | None = None, *, over: bool = 
     result = partial(Result, planned or run.planned, run.path)
     summary = run.summary()
     if summary is not None:
-        if run.shares or status is None:  # or it was killed before its time was written
+        if run.shares_process or status is None:  # or it was killed before its time was written
             seconds = summary.get("timing", {}).get("total", 0.0)
         reasons = "; ".join(reasons_not_to_use(summary))
         code = UnusableError.exit_code if reasons else 0

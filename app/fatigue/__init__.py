@@ -30,7 +30,7 @@ from app.fatigue.laws import (
     weibull_of,
 )
 from app.laws.materials import Elastic
-from app.results.records import Followed, add_record
+from app.results.records import RecordedModel, add_record
 from app.scene.path_fields import PathField, path_fields
 from app.schema.section import add_key
 
@@ -48,7 +48,7 @@ add_key(
 )
 
 
-def _risk(case: Case, mechanics: Followed) -> CementRisk | None:
+def _risk(case: Case, mechanics: RecordedModel) -> CementRisk | None:
     """The record of a run, or None if nothing in its case tires or has a strength."""
     if not (fatigue_of(case) or weibull_of(case)):
         return None
@@ -71,7 +71,7 @@ def _damage(case: Case) -> Iterable[PathField]:
         yield PathField(f"damage_{name}", f"damage in a year, {name}", "1/year", by_cell=True)
 
 
-def _potted_stem(case: Case, followed: Followed) -> PottedStem | None:
+def _potted_stem(case: Case, followed: RecordedModel) -> PottedStem | None:
     """The record of a bench test, or None without one."""
     if stem_test_of(case) is None:
         return None

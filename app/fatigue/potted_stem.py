@@ -20,7 +20,7 @@ from app.foundation.arrays import Bools, Floats
 from app.laws.values import ROUNDING
 from app.results.hip import facet_surface, nodal_displacements
 from app.results.percentiles import percentile
-from app.results.records import Followed, Record
+from app.results.records import Record, RecordedModel
 from app.results.stresses import Stresses
 from app.scene import bodies
 
@@ -31,7 +31,7 @@ WEAK = -1.645
 class PottedStem(Record):
     """Numbers of section ``stem_test`` in the last state."""
 
-    def __init__(self, case: Case, followed: Followed) -> None:
+    def __init__(self, case: Case, followed: RecordedModel) -> None:
         test, level = stem_test_of(case), level_of(case)
         assert test is not None
         assert level is not None
@@ -51,7 +51,7 @@ class PottedStem(Record):
     def numbers(self) -> dict[str, dict[str, Numbers]]:
         """Section ``stem_test``; collective."""
         stresses, region = self._stresses, self._test.region
-        x, volume = stresses.places(region)
+        x, volume = stresses.points_and_volumes(region)
         σ = stresses.evaluate(region).reshape(-1, 3, 3)
         above = x[:, 2] - self._level
         is_free = above > self._test.band

@@ -70,7 +70,7 @@ class CementRisk(Record):
             if laws
             else np.zeros(0, dtype=np.int64)
         )
-        points_per_cell = len(self._stresses.shares[self._fatigue_region]) if laws else 1
+        points_per_cell = len(self._stresses.volume_fractions[self._fatigue_region]) if laws else 1
         self.row_keys: Ints = (
             cell_numbers[:, None] * points_per_cell + np.arange(points_per_cell)
         ).ravel()
@@ -125,7 +125,7 @@ class CementRisk(Record):
 
     def _damage_numbers(self, damage_and_stress: Floats, is_in_part: Bools) -> Numbers:
         """Damage by a law in a part of the points, from rows of damage and stress (n, 2)."""
-        x, volume = self._stresses.places(self._fatigue_region)
+        x, volume = self._stresses.points_and_volumes(self._fatigue_region)
         rows = np.column_stack([damage_and_stress, volume.ravel(), x])[is_in_part].T
         damage, stress, weight, *coordinates = self._stresses.gather(rows)
         return {
@@ -140,7 +140,10 @@ class CementRisk(Record):
         fields: dict[str, Floats] = {}
         for name, damage_and_stress in self.damage.items():
             damage = damage_and_stress[:, 0]
-            mean, point_weights = np.zeros(cells), self._stresses.shares[self._fatigue_region]
+            mean, point_weights = (
+                np.zeros(cells),
+                self._stresses.volume_fractions[self._fatigue_region],
+            )
             mean[self._stresses.cells[self._fatigue_region]] = (
                 damage.reshape(-1, len(point_weights)) @ point_weights
             )
@@ -157,14 +160,14 @@ class CementRisk(Record):
                 np.float64
             )
             tension = principal[..., 2]
-            risk = law.risk(tension) * self._stresses.places(region)[1]
+            risk = law.risk(tension) * self._stresses.points_and_volumes(region)[1]
             by_region[region] = self._by_part(region, partial(self._strength, region, risk))
         return by_region
 
     def _strength(self, region: str, risk: Floats, is_in_part: Bools) -> Numbers:
         """Numbers of a part by the risk at points (cells, points), and the place of most of it."""
         risk_in_part = np.where(is_in_part.reshape(risk.shape), risk, 0.0)
-        x = self._stresses.places(region)[0].reshape(*risk.shape, 3)
+        x = self._stresses.points_and_volumes(region)[0].reshape(*risk.shape, 3)
         rows = np.column_stack(
             [risk_in_part.sum(axis=1), np.einsum("cq,cqi->ci", risk_in_part, x)]
         ).T
@@ -176,7 +179,7 @@ class CementRisk(Record):
     def _by_part(self, region: str, numbers_of: Callable[[Bools], Numbers]) -> Numbers:
         """Numbers of the points of a region, with sections of its parts; collective."""
         if region not in self._parts:
-            x = self._stresses.places(region)[0]
+            x = self._stresses.points_and_volumes(region)[0]
             levels = self._borders(x) if self._borders else {}
             edges = reentrant_edges(self._tagged, region)
             if len(edges):

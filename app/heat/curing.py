@@ -290,7 +290,7 @@ def error_as_temperature(degree: Floats, error: Floats, rise: float) -> Floats:
     return rise * error * np.maximum(1, _SMALL_DEGREE / np.maximum(degree, _SMALLEST_DEGREE))
 
 
-def share_since_gelation(gel: float, start: Floats, end: Floats, s: float) -> Floats:
+def fraction_since_gelation(gel: float, start: Floats, end: Floats, s: float) -> Floats:
     """Fraction of a step's free strain reached at a fraction s of the step (n,).
 
     The degree of cure is linear in s; ``gel`` is that at gelation.
@@ -367,7 +367,7 @@ class CureHeat:
             dof = np.flatnonzero(volume > 0)
             with forms.compiling():
                 kinetics = kinetics_of(forms.comm, c, len(dof))
-            body, rise = bodies.of_region[c.region], c.heat / capacity[c.region]
+            body, rise = bodies.body_of_region[c.region], c.heat / capacity[c.region]
             heat = c.heat * volume[dof]
             self.nodes.append(CuringNodes(c.region, body, dof, heat, rise, kinetics))
         self.events = {t for n in self.nodes for t in n.kinetics.events}

@@ -77,7 +77,7 @@ class HeatForms:
                 nodes = fem.locate_dofs_topological(self.space, 2, facets)
                 is_prescribed[b, nodes[nodes < self.owned]] = True
         for region in condition.regions or ():
-            is_prescribed[self._bodies.of_region[region]] |= self.volumes(region) > 0
+            is_prescribed[self._bodies.body_of_region[region]] |= self.volumes(region) > 0
         return is_prescribed
 
     def values(self, field: Field, nodes: Ints) -> Floats:
@@ -122,7 +122,7 @@ class HeatForms:
         if condition.boundary is not None:
             measures = list(self._ds(condition.boundary).items())
         else:
-            measures = [(self._bodies.of_region[r], self._dx(r)) for r in condition.regions]
+            measures = [(self._bodies.body_of_region[r], self._dx(r)) for r in condition.regions]
         for b, measure in measures:
             total[b] += self._assemble_nodal(form(measure))
         return total
@@ -133,7 +133,7 @@ class HeatForms:
         """Conduction matrix of each body, its whole diagonal in the pattern [N mm/(s K)]."""
         matrices_of_bodies: dict[int, list[PETSc.Mat]] = {}
         for c in conductors:
-            matrices_of_bodies.setdefault(self._bodies.of_region[c.region], []).append(
+            matrices_of_bodies.setdefault(self._bodies.body_of_region[c.region], []).append(
                 self._conduction(c)
             )
         zero = diagonal(self.comm, np.zeros(self.owned))

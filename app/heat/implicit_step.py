@@ -202,7 +202,7 @@ class ImplicitStep(System):
                 points = operators.jumps.points
                 sides = points.bodies[points.interface == index]
                 pairs += [(int(a), int(b)) for a, b in np.unique(sides, axis=0)]
-        body_of_region = operators.bodies.of_region
+        body_of_region = operators.bodies.body_of_region
         for interface in operators.scene.sliding_heat:
             pairs.append((body_of_region[interface.master[0]], body_of_region[interface.slave[0]]))
         return pairs

@@ -73,7 +73,9 @@ class HeatOperators:
             self.fixed.join(self.jumps)
         self.capacity = forms.zeros()
         for c in scene.conductors:
-            self.capacity[self.bodies.of_region[c.region]] += c.capacity * forms.volumes(c.region)
+            self.capacity[self.bodies.body_of_region[c.region]] += c.capacity * forms.volumes(
+                c.region
+            )
         # A reference near all temperatures: less of the heat is lost to rounding.
         self.reference = float(np.mean([c.initial_temperature for c in scene.conductors]))
         self.cure = CureHeat(scene, self.bodies, forms) if scene.cures else None
@@ -113,7 +115,7 @@ class HeatOperators:
         for c in self.scene.conductors:
             nodal = c.capacity * self.forms.volumes(c.region)
             above = c.initial_temperature - self.reference
-            heat[self.bodies.of_region[c.region]] += nodal * above
+            heat[self.bodies.body_of_region[c.region]] += nodal * above
         T = self.reference + heat / np.where(self.capacity > 0, self.capacity, 1.0)
         fixed = self.fixed
         return np.where(fixed.condition_of_body >= 0, fixed.by_body(fixed.values(0.0)), T)
@@ -151,7 +153,7 @@ class HeatOperators:
 
     def of_region(self, region: str) -> fem.Function:
         """Temperature of a region as last set by ``temperatures``."""
-        return self._by_body.get(self.bodies.of_region[region], self._continuous)
+        return self._by_body.get(self.bodies.body_of_region[region], self._continuous)
 
 
 class InitialJump:
@@ -169,7 +171,7 @@ class InitialJump:
         effusivity, sums = forms.zeros(), forms.zeros()
         lowest, highest = forms.zeros() + np.inf, forms.zeros() - np.inf
         for c in operators.scene.conductors:
-            body_nodes = operators.bodies.of_region[c.region], forms.volumes(c.region) > 0
+            body_nodes = operators.bodies.body_of_region[c.region], forms.volumes(c.region) > 0
             effusivity[body_nodes] += c.effusivity
             sums[body_nodes] += c.effusivity * c.initial_temperature
             lowest[body_nodes] = np.minimum(lowest[body_nodes], c.initial_temperature)

@@ -117,10 +117,10 @@ def contact_points(
     if count == len(surface.vertex):
         return points, entries
     # Imported late: interfaces that do not meet need no scipy.
-    from app.interfaces.dependent_corners import handed_areas, in_means
+    from app.interfaces.dependent_corners import transferred_areas, with_mean_jumps
 
-    handed = handed_areas(facets, surface, prescribed_projectors, interfaces, by_face)
-    return in_means(facets, points, entries, handed, interfaces, by_face)
+    transferred = transferred_areas(facets, surface, prescribed_projectors, interfaces, by_face)
+    return with_mean_jumps(facets, points, entries, transferred, interfaces, by_face)
 
 
 def _surface(
@@ -256,15 +256,22 @@ def _independent(
             if not is_crowded[rows[0]]:
                 continue
             by_preference = sorted(map(int, rows), key=partial(preference, corners_of_vertex=rows))
-            master, slave = all_corners[by_preference, 2:].T
-            for n, corner in enumerate(by_preference):
-                # Bodies that the corners before this one join have the same group.
-                group = connected(body_count, master[:n], slave[:n])
-                is_point[corner] = group[master[n]] != group[slave[n]]
+            is_point[by_preference] = _spanning_forest(all_corners[by_preference, 2:], body_count)
         has_no_point = (np.bincount(pair, is_point) == 0) & ~needs_point
         if not has_no_point.any():
             return is_point
         needs_point |= has_no_point
+
+
+def _spanning_forest(edges: Ints, node_count: int) -> Bools:
+    """Mask of the edges (k, 2) of a graph that form a spanning forest, the first ones preferred."""
+    start, end = edges.T
+    is_in_forest = np.zeros(len(edges), dtype=bool)
+    for n in range(len(edges)):
+        # Nodes that the edges before this one connect have the same group.
+        group = connected(node_count, start[:n], end[:n])
+        is_in_forest[n] = group[start[n]] != group[end[n]]
+    return is_in_forest
 
 
 def _jumps_at_vertices(
@@ -459,12 +466,17 @@ def _edge_moves(
     stride = int(vertices[-1]) + 1
     move_key = body * stride + points.vertex[point]
     end_key = (edge_body * stride + edge_ends.T).ravel()
-    by_key = np.argsort(move_key, kind="stable")
-    low = np.searchsorted(move_key, end_key, "left", by_key)
-    high = np.searchsorted(move_key, end_key, "right", by_key)
-    move_count = high - low
-    edge_end = np.repeat(np.arange(len(end_key)), move_count)
-    position_in_order = np.arange(len(edge_end)) + (high - np.cumsum(move_count))[edge_end]
-    move = by_key[position_in_order]
+    edge_end, move = _pairs_of_equal(end_key, move_key)
     edge = edge_end % len(edges)
     return edge_body[edge], edge_dof[edge], point[move], end_factors[edge_end] @ blocks[move]
+
+
+def _pairs_of_equal(first: Ints, second: Ints) -> tuple[Ints, Ints]:
+    """All pairs of equal entries, as rows of both arrays, in the order of the first array."""
+    order = np.argsort(second, kind="stable")
+    low = np.searchsorted(second, first, "left", order)
+    high = np.searchsorted(second, first, "right", order)
+    count = high - low
+    first_rows = np.repeat(np.arange(len(first)), count)
+    position_in_order = np.arange(len(first_rows)) + (high - np.cumsum(count))[first_rows]
+    return first_rows, order[position_in_order]

@@ -39,7 +39,7 @@ LARGEST_INVERSE = 1e6
 
 
 @dataclass(frozen=True)
-class HandedAreas:
+class TransferredAreas:
     """Areas that dependent corners give to points (k of them).
 
     Attributes:
@@ -55,13 +55,13 @@ class HandedAreas:
     area: Floats
 
 
-def handed_areas(
+def transferred_areas(
     facets: InterfaceFacets,
     surface: ContactSurface,
     prescribed_projectors: Floats,
     names: Sequence[str],
     by_face: bool,
-) -> HandedAreas:
+) -> TransferredAreas:
     """Areas that dependent corners give to points of their interface.
 
     The points that receive an area are the other corners of the facet. If all of these are
@@ -88,7 +88,7 @@ def handed_areas(
         prescribed_at_vertex[v] = np.maximum(
             prescribed_at_vertex.get(v, 0.0), np.abs(prescribed_projectors[p])
         )
-    handed_rows: list[tuple[int, int, int, int]] = []
+    transferred_rows: list[tuple[int, int, int, int]] = []
     areas: list[float] = []
     for triangle, k in zip(*np.nonzero(corners >= point_count), strict=True):
         corner = int(corners[triangle, k])
@@ -114,20 +114,31 @@ def handed_areas(
             admissible = candidates[is_admissible(candidates)]
             if len(admissible):
                 candidates = admissible
-            if not len(candidates):
-                x, y, z = surface.x[corner]
-                raise InputError(
-                    f"interfaces.{names[int(surface.interface[corner])]}: all nodes of a face lie "
-                    f"on lines where interfaces meet, e.g. at ({x:.4g}, {y:.4g}, {z:.4g}) mm, so "
-                    "none can carry its force; use a finer mesh"
-                )
-            distances = np.linalg.norm(surface.x[candidates] - surface.x[corner], axis=1)
-            receivers = candidates[np.isclose(distances, distances.min(), rtol=1e-6)]
-        handed_rows += [(corner, int(p), facet, int(k)) for p in receivers]
+            receivers = _nearest_points(surface, corner, candidates, names)
+        transferred_rows += [(corner, int(p), facet, int(k)) for p in receivers]
         areas += [float(facets.area[facet, k]) / len(receivers)] * len(receivers)
-    corner_rows, point_rows, facet_of_area, corner_of_facet = np.array(handed_rows).T
+    corner_rows, point_rows, facet_of_area, corner_of_facet = np.array(transferred_rows).T
     normals = facets.normal[facet_of_area, corner_of_facet]
-    return HandedAreas(corner_rows, point_rows, normals, np.array(areas))
+    return TransferredAreas(corner_rows, point_rows, normals, np.array(areas))
+
+
+def _nearest_points(
+    surface: ContactSurface, corner: int, candidates: Ints, names: Sequence[str]
+) -> Ints:
+    """Points nearest to a corner, several if they are equally near.
+
+    Raises:
+        InputError: There are no candidates.
+    """
+    if not len(candidates):
+        x, y, z = surface.x[corner]
+        raise InputError(
+            f"interfaces.{names[int(surface.interface[corner])]}: all nodes of a face lie "
+            f"on lines where interfaces meet, e.g. at ({x:.4g}, {y:.4g}, {z:.4g}) mm, so "
+            "none can carry its force; use a finer mesh"
+        )
+    distances = np.linalg.norm(surface.x[candidates] - surface.x[corner], axis=1)
+    return candidates[np.isclose(distances, distances.min(), rtol=1e-6)]
 
 
 def _faces_along(normals: Floats, direction: Floats) -> Ints:
@@ -154,11 +165,11 @@ def _face_areas(facets: InterfaceFacets, surface: ContactSurface, normals: Float
     return area
 
 
-def in_means(
+def with_mean_jumps(
     facets: InterfaceFacets,
     points: ContactPoints,
     entries: Entries,
-    handed: HandedAreas,
+    transferred: TransferredAreas,
     names: Sequence[str],
     by_face: bool,
 ) -> tuple[ContactPoints, Entries]:
@@ -172,7 +183,7 @@ def in_means(
         facets: All facets.
         points: Points, each with its area alone.
         entries: Displacement of the bodies due to d.
-        handed: Areas that the points receive.
+        transferred: Areas that the points receive.
         names: Names of the interfaces.
         by_face: True if each face of a point has a separate pressure. A field with one component
             has the same flux on all faces.
@@ -182,51 +193,74 @@ def in_means(
     """
     n, surface = len(points.vertex), points.surface
     normals = surface.normals if by_face else np.zeros_like(surface.normals)
-    weight = points.weight + np.bincount(handed.point, handed.area, n)
-    face = _faces_along(normals[handed.point], handed.normal)
+    weight = points.weight + np.bincount(transferred.point, transferred.area, n)
+    face = _faces_along(normals[transferred.point], transferred.normal)
     corner_face_area = _face_areas(facets, surface, normals)
     face_area = corner_face_area[:n].copy()
     is_on_face = face >= 0
-    receiving_faces = handed.point[is_on_face], face[is_on_face]
-    np.add.at(face_area, receiving_faces, handed.area[is_on_face])
-
-    # Share of a corner in the force of a point: of the pressure of a face by the area that the
-    # corner gives to this face, of friction by the whole area.
-    duals = dual_vectors(normals[:n])
-    tangential = np.eye(3) - np.einsum("pki,pkj->pij", normals[:n], duals)
-    area_fraction = handed.area / weight[handed.point]
-    share = area_fraction[:, None, None] * tangential[handed.point]
-    along_normal = normals[receiving_faces][:, :, None] * duals[receiving_faces][:, None, :]
-    face_fraction = handed.area[is_on_face] / face_area[receiving_faces]
-    share[is_on_face] += face_fraction[:, None, None] * along_normal
-    handed_share = np.zeros((n, 3, 3))
-    np.add.at(handed_share, handed.point, share)
+    np.add.at(
+        face_area, (transferred.point[is_on_face], face[is_on_face]), transferred.area[is_on_face]
+    )
+    share = _force_shares(normals[:n], transferred, face, face_area, weight)
+    transferred_share = np.zeros((n, 3, 3))
+    np.add.at(transferred_share, transferred.point, share)
 
     # Mean jumps: the jumps A d of dependent corners replace a share of the jumps d of the points.
     shape = len(surface.vertex) - n, n
-    to_corners = _blocks(share, handed.corner - n, handed.point, shape)
+    to_corners = _blocks(share, transferred.corner - n, transferred.point, shape)
     A = _three(_dependent_jumps(surface, n))
     identity = eye_array(3 * n, format="csr")
     free_directions = _diagonal(np.eye(3) - projectors(points.axes, points.is_prescribed))
-    change_by_corners = csr_array(to_corners.T @ A - _diagonal(handed_share.swapaxes(1, 2)))
+    change_by_corners = csr_array(to_corners.T @ A - _diagonal(transferred_share.swapaxes(1, 2)))
     G = csr_array(identity + free_directions @ change_by_corners)
     inverse = _inverse(G, surface, names)
 
     # Forces of a point and of corners are per area of each.
-    kept_force = (np.eye(3) - handed_share) * (weight / points.weight)[:, None, None]
-    handed_forces = _diagonal(np.eye(3) / surface.weight[n:, None, None]) @ to_corners
-    handed_forces = handed_forces @ _diagonal(np.eye(3) * weight[:, None, None])
-    corner_fraction = handed.area / surface.weight[handed.corner]
-    handed_values = csr_array((corner_fraction, (handed.corner - n, handed.point)), shape=shape)
+    kept_force = (np.eye(3) - transferred_share) * (weight / points.weight)[:, None, None]
+    transferred_forces = _diagonal(np.eye(3) / surface.weight[n:, None, None]) @ to_corners
+    transferred_forces = transferred_forces @ _diagonal(np.eye(3) * weight[:, None, None])
+    corner_fraction = transferred.area / surface.weight[transferred.corner]
+    transferred_values = csr_array(
+        (corner_fraction, (transferred.corner - n, transferred.point)), shape=shape
+    )
     dependence = Dependence(
-        values=csr_array(vstack([eye_array(n), handed_values])),
-        forces=csr_array(vstack([_diagonal(kept_force), handed_forces])),
-        pressures=_pressures(surface, normals, handed, face, corner_face_area, face_area, weight),
+        values=csr_array(vstack([eye_array(n), transferred_values])),
+        forces=csr_array(vstack([_diagonal(kept_force), transferred_forces])),
+        pressures=_pressures(
+            surface, normals, transferred, face, corner_face_area, face_area, weight
+        ),
         jumps=csr_array(vstack([identity, A]) @ inverse),
     )
     surface = replace(surface, dependence=dependence)
     points = replace(points, weight=weight, surface=surface)
     return points, _transformed(entries, inverse)
+
+
+def _force_shares(
+    normals: Floats, transferred: TransferredAreas, face: Ints, face_area: Floats, weight: Floats
+) -> Floats:
+    """Share of a corner in the force of a point, for each area that it gives (k, 3, 3) [-].
+
+    The corner has a share of the pressure of a face by the area that it gives to this face, and a
+    share of friction by the whole area.
+
+    Args:
+        normals: Unit normals of the faces of points (n, 3, 3).
+        transferred: Areas that the points receive.
+        face: Face of the point that receives each area, or -1 (k,).
+        face_area: Areas of the faces of points, with the received areas (n, 3) [mm2].
+        weight: Areas of the points, with the received areas (n,) [mm2].
+    """
+    duals = dual_vectors(normals)
+    tangential = np.eye(3) - np.einsum("pki,pkj->pij", normals, duals)
+    area_fraction = transferred.area / weight[transferred.point]
+    share = area_fraction[:, None, None] * tangential[transferred.point]
+    is_on_face = face >= 0
+    faces = transferred.point[is_on_face], face[is_on_face]
+    along_normal = normals[faces][:, :, None] * duals[faces][:, None, :]
+    face_fraction = transferred.area[is_on_face] / face_area[faces]
+    share[is_on_face] += face_fraction[:, None, None] * along_normal
+    return np.asarray(share)
 
 
 def _transformed(entries: Entries, inverse: csr_array) -> Entries:
@@ -288,7 +322,7 @@ def _inverse(G: csr_array, surface: ContactSurface, names: Sequence[str]) -> csr
 def _pressures(
     surface: ContactSurface,
     normals: Floats,
-    handed: HandedAreas,
+    transferred: TransferredAreas,
     face: Ints,
     corner_face_area: Floats,
     face_area: Floats,
@@ -299,7 +333,7 @@ def _pressures(
     Args:
         surface: All corners, points first.
         normals: Unit normals of their faces (m, 3, 3).
-        handed: Areas that the points receive.
+        transferred: Areas that the points receive.
         face: Face of the point that receives each area, or -1 (k,).
         corner_face_area: Areas of the faces of corners (m, 3) [mm2].
         face_area: Areas of the faces of points, with the received areas (n, 3) [mm2].
@@ -309,14 +343,14 @@ def _pressures(
     # Factors from the pressure on the area of the point to the pressure on the area of its face.
     face_factor = np.divide(weight[:, None], face_area, where=face_area > 0, out=np.zeros((n, 3)))
     kept_factors = face_factor * corner_face_area[:n] / surface.weight[:n, None]
-    face_of_corner = _faces_along(normals[handed.corner], handed.normal)
+    face_of_corner = _faces_along(normals[transferred.corner], transferred.normal)
     used = np.flatnonzero((face >= 0) & (face_of_corner >= 0))
-    corner, point = handed.corner[used], handed.point[used]
-    corner_fraction = handed.area[used] / surface.weight[corner]
-    handed_factors = corner_fraction * face_factor[point, face[used]]
+    corner, point = transferred.corner[used], transferred.point[used]
+    corner_fraction = transferred.area[used] / surface.weight[corner]
+    transferred_factors = corner_fraction * face_factor[point, face[used]]
     rows = np.concatenate([np.arange(3 * n), 3 * corner + face_of_corner[used]])
     columns = np.concatenate([np.arange(3 * n), 3 * point + face[used]])
-    values = np.concatenate([kept_factors.ravel(), handed_factors])
+    values = np.concatenate([kept_factors.ravel(), transferred_factors])
     return csr_array((values, (rows, columns)), shape=(3 * m, 3 * n))
 
 

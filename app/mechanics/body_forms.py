@@ -110,7 +110,7 @@ class OnBody:
         body_forms = self._body_forms
         if regions is None:
             regions = [e.region for e in body_forms.scene.elastic]
-        of_body = [r for r in regions if body_forms.bodies.of_region[r] == self._body]
+        of_body = [r for r in regions if body_forms.bodies.body_of_region[r] == self._body]
         if not of_body:
             return []
         degree = 2 * body_forms.scene.order + 2
@@ -227,7 +227,9 @@ class BodyForms:
         coefficients = [self.constant(c) for c in e.coefficients]
         return coefficients, e.fibre.direction(self.mesh, self.constant) if e.fibre else None
 
-    def places(self, region: str, points: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    def points_and_volumes(
+        self, region: str, points: Floats, weights: Floats
+    ) -> tuple[Floats, Floats]:
         """Positions (cells, points, 3) [mm] and volumes of points of a region's owned cells."""
         element = self.mesh.ufl_domain().ufl_coordinate_element().sub_elements[0]
         N, *dN = element.tabulate(1, points)
@@ -248,7 +250,7 @@ class BodyForms:
         points_of_rule, weights = (
             (np.asarray(a) for a in rule) if mean else (points, np.ones(len(points)))
         )
-        x, volumes = self.places(e.region, points_of_rule, weights)
+        x, volumes = self.points_and_volumes(e.region, points_of_rule, weights)
         changing_density = e._density
         if changing_density:
             values = (
@@ -343,7 +345,7 @@ class BodyForms:
         total = 0
         for e in self.scene.elastic:
             if (
-                self.bodies.of_region[e.region] == body
+                self.bodies.body_of_region[e.region] == body
                 and e.region not in self.path_dependent_regions
             ):
                 total += self.energy_density(e, self.elastic_strain(e, v)) * self.over(e, dx)
@@ -357,7 +359,10 @@ class BodyForms:
         """Energy of a body whose second derivative is its stiffness at the current cure."""
         total = self.body_energy(body, v, dx)
         for e in self.scene.elastic:
-            if self.bodies.of_region[e.region] == body and e.region in self.path_dependent_regions:
+            if (
+                self.bodies.body_of_region[e.region] == body
+                and e.region in self.path_dependent_regions
+            ):
                 ψ = self.energy_density(e, elasticity.strain(v))
                 dx_e = dx(self.tagged.regions[e.region], degree=self.path_dependent_degree)
                 total += self.growth.get(e.region, 1) * ψ * dx_e
@@ -414,7 +419,7 @@ class BodyForms:
     def strip_stiffness(self, body: int, dofs: NDArray[np.bool_]) -> fem.Form:
         """Stiffness of one body restricted to its cells that hold any of the marked dofs."""
         holds_dofs = dofs[self.space.dofmap.list].any(axis=1)
-        holds_dofs &= self.bodies.of_tag[self._tags] == body
+        holds_dofs &= self.bodies.body_of_tag[self._tags] == body
         return self._stiffness_on(self._domains(holds_dofs), self._surface.facets_on(body))
 
     def _stiffness_on(self, cells: Domains, facets: Domains) -> fem.Form:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -114,11 +117,9 @@ def sliding_motions(problem: Problem) -> CoarseSpace:
         master, slave = (contact.local.bodies == body).T
         sign = slave.astype(float) - master
         if rigid.issuperset(name.split(" + ")):
+            unknowns = _unknowns_of_components(problem, of_body)
             unknown_entries.append(
-                _dense_entries(
-                    _unknowns_of_components(problem, of_body)[:, None] * (modes.T @ frame),
-                    next_column,
-                )
+                _dense_entries(unknowns[:, None] * (modes.T @ frame), next_column)
             )
             slides = (sign[:, None, None] * (rigid_modes(y) @ frame)).reshape(-1, 6)
             jump_entries.append(_dense_entries(slides, next_column))
@@ -139,11 +140,7 @@ def sliding_motions(problem: Problem) -> CoarseSpace:
         tuple(map(np.concatenate, zip(*blocks_of_matrix, strict=True)))
         for blocks_of_matrix in triplets
     ]
-    # A motion belongs to the rank that has most of it; columns are in the order of the ranks.
-    votes = sum(np.bincount(j, minlength=next_column) for _, j, _ in entries)
-    owner = np.argmax(comm.allgather(votes), axis=0)
-    column_number = np.argsort(np.argsort(owner, kind="stable"))
-    columns = int((owner == comm.rank).sum())
+    columns, column_number = _distributed(comm, [j for _, j, _ in entries], next_column)
     of_nodes, of_others, of_jumps = (
         from_triplets(comm, rows, columns, i, column_number[j], v)
         for rows, (i, j, v) in zip((3 * nodes, modes.shape[1], 3 * len(y)), entries, strict=True)
@@ -151,6 +148,26 @@ def sliding_motions(problem: Problem) -> CoarseSpace:
     displacement = matrix_sum([constraints.rows(of_nodes), of_others])
     displacement.zeroRows(problem.stiffness.rows, diag=0.0)
     return CoarseSpace(displacement, of_jumps)
+
+
+def _distributed(
+    comm: MPI.Comm, columns_of_entries: Sequence[Ints], count: int
+) -> tuple[int, Ints]:
+    """Distribute columns over the ranks: each to the rank with most of its entries; collective.
+
+    Args:
+        comm: Communicator of the matrices.
+        columns_of_entries: Column of each entry of this rank, for each matrix.
+        count: Number of columns.
+
+    Returns:
+        Number of columns of this rank, and new numbers of all columns in the order of the ranks
+        (count,).
+    """
+    entry_counts = sum(np.bincount(column, minlength=count) for column in columns_of_entries)
+    owner = np.argmax(comm.allgather(entry_counts), axis=0)
+    column_number = np.argsort(np.argsort(owner, kind="stable"))
+    return int((owner == comm.rank).sum()), column_number
 
 
 def displacement_by_motions(problem: Problem, motions: Floats) -> PETSc.Vec:
@@ -172,7 +189,7 @@ def _stiffest_body(problem: Problem) -> int:
     """The body with the largest modulus; rigid ones come first."""
     modulus = np.zeros(len(problem.bodies.names))
     for region, value in problem.scene.moduli.items():
-        body = problem.bodies.of_region[region]
+        body = problem.bodies.body_of_region[region]
         modulus[body] = max(modulus[body], value)
     return int(modulus.argmax())
 
@@ -187,7 +204,7 @@ def _scaled_rigid_motions(x: Floats) -> Floats:
 
 def _unmoved_components(problem: Problem, contact: ContactInterfaces, body: int) -> Bools:
     """Owned nodal components of a body that no jump moves (n, 3); collective."""
-    cells = problem.bodies.of_tag[cell_tags(problem.tagged)] == body
+    cells = problem.bodies.body_of_tag[cell_tags(problem.tagged)] == body
     nodes = touched_nodes(problem.space, cells)
     unmoved = np.repeat(nodes[:, None], 3, axis=1)
     if body in contact.coupling.jump_to_displacement:

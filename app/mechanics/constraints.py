@@ -56,7 +56,7 @@ def _support_of_dofs(body_forms: BodyForms, stage: int, frames: Frames | None) -
             support_of_frames[rigid_nodes[rows]] = -1
         for s in active_supports:
             patch = patches[s]
-            facets_of_body = patch.facets[bodies.of_tag[tags[patch.cells]] == body]
+            facets_of_body = patch.facets[bodies.body_of_tag[tags[patch.cells]] == body]
             nodes = fem.locate_dofs_topological(space, 2, facets_of_body.astype(np.int32))
             for c in np.flatnonzero(scene.supports[s].components):
                 support[nodes, c] = s
@@ -159,17 +159,14 @@ class Constraints:
             rows, frame_rows = frames.owned(space.dofmap.index_map)
             axes[rows], oblique[rows] = frames.axes[frame_rows], region[rows] == FREE
 
-        # Free nodes: supports, prescribed values and rigid modes.
         prescribed = _prescribed_values(scene, space, support_of, axes)
-        self.constrained = np.zeros(unknowns, dtype=bool)
-        self.constrained[:free_unknowns] = (support_of[free_nodes] >= 0).ravel()
-        self.unit = np.zeros((len(prescribed), unknowns))
-        self.unit[:, :free_unknowns] = prescribed[:, free_nodes].reshape(
-            len(prescribed), free_unknowns
+        self._set_free_nodes(
+            unknowns,
+            x[free_nodes],
+            axes[free_nodes],
+            support_of[free_nodes],
+            prescribed[:, free_nodes],
         )
-        self.modes = np.zeros((6, unknowns))
-        modes = axes[free_nodes].swapaxes(1, 2) @ rigid_modes(x[free_nodes])
-        self.modes[:, :free_unknowns] = modes.reshape(-1, 6).T
         reacting = (support_of >= 0) & (region == FREE)[:, None]
         reacting[oblique] = reacting[oblique].any(axis=1, keepdims=True)
 
@@ -200,6 +197,29 @@ class Constraints:
         pointer = np.concatenate([[0], np.cumsum(is_entry.sum(axis=1))])
         entry_columns, values = columns.reshape(-1, 6)[is_entry], entries.reshape(-1, 6)[is_entry]
         self._P = from_rows(comm, (3 * nodes, unknowns), pointer, entry_columns, values)
+
+    def _set_free_nodes(
+        self, unknowns: int, x: Floats, axes: Floats, support_of: Ints, prescribed: Floats
+    ) -> None:
+        """Set supports, prescribed values and rigid modes of the n free nodes of this rank.
+
+        Their 3 n unknowns are the first ones. Those of rigid regions after them stay zero.
+
+        Args:
+            unknowns: Number of owned unknowns.
+            x: Positions of the nodes (n, 3) [mm].
+            axes: Axes of their components (n, 3, 3).
+            support_of: Support of each component (n, 3).
+            prescribed: Displacement by each support (s, n, 3) [mm].
+        """
+        free_unknowns = 3 * len(x)
+        self.constrained = np.zeros(unknowns, dtype=bool)
+        self.constrained[:free_unknowns] = (support_of >= 0).ravel()
+        self.unit = np.zeros((len(prescribed), unknowns))
+        self.unit[:, :free_unknowns] = prescribed.reshape(len(prescribed), free_unknowns)
+        self.modes = np.zeros((6, unknowns))
+        modes = axes.swapaxes(1, 2) @ rigid_modes(x)
+        self.modes[:, :free_unknowns] = modes.reshape(-1, 6).T
 
     def _rigid_region_of(self, body_forms: BodyForms, nodes: int) -> Ints:
         """Rigid region or driven boundary of owned nodes by number, FREE or FOLLOWS (nodes,)."""
@@ -252,12 +272,10 @@ class Constraints:
         motion = scene.motion_of((region,))
         if motion:
             # The rotation is prescribed, and so is the translation if `translation: held`.
-            motions_of_centre = rigid_modes((np.array(motion.about) - centre)[None] / scale)[0]
-            prescribed_motions = (
-                np.eye(6)[3:]
-                if motion.translation == "free"
-                else np.vstack([motions_of_centre, np.eye(6)[3:]])
-            )
+            prescribed_motions = np.eye(6)[3:]
+            if motion.translation != "free":
+                about = (np.array(motion.about) - centre) / scale
+                prescribed_motions = np.vstack([rigid_modes(about[None])[0], prescribed_motions])
             rows = np.vstack([rows, prescribed_motions])
             prescribed_values = [
                 np.concatenate([w, np.zeros(len(prescribed_motions))]) for w in prescribed_values

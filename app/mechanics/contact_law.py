@@ -80,6 +80,22 @@ class PointForces:
     debonded_friction_work: Floats
     outputs: Mapping[str, Floats]
 
+    @classmethod
+    def zeros(cls, stiffness: Floats, internal_variables: Mapping[str, Floats]) -> PointForces:
+        """Return no forces at points of a stiffness (n,) [MPa/mm], with the variables unchanged."""
+        n = len(stiffness)
+        return cls(
+            force=np.zeros((n, 3)),
+            by_multiplier=np.zeros((n, 3, 3)),
+            by_jump=np.zeros((n, 3, 3)),
+            stiffness=stiffness,
+            pressures=np.zeros((n, 3)),
+            status=np.zeros(n, dtype=np.int64),
+            internal_variables={name: values.copy() for name, values in internal_variables.items()},
+            debonded_friction_work=np.zeros(n),
+            outputs={name: np.zeros((n, *shape)) for name, shape in OUTPUTS.items()},
+        )
+
     @property
     def traction_stiffness(self) -> Floats:
         """Stiffness of the traction alone: `by_jump` - r `by_multiplier` (n, 3, 3) [MPa/mm]."""
@@ -296,19 +312,7 @@ class PointLaw:
             "r": r,
             "frozen": np.full(n, float(self.frozen)),
         }
-        point_forces = PointForces(
-            force=np.zeros((n, 3)),
-            by_multiplier=np.zeros((n, 3, 3)),
-            by_jump=np.zeros((n, 3, 3)),
-            stiffness=r,
-            pressures=np.zeros((n, 3)),
-            status=np.zeros(n, dtype=np.int64),
-            internal_variables={
-                name: values.copy() for name, values in state.internal_variables.items()
-            },
-            debonded_friction_work=np.zeros(n),
-            outputs={name: np.zeros((n, *shape)) for name, shape in OUTPUTS.items()},
-        )
+        point_forces = PointForces.zeros(r, state.internal_variables)
         for group in self._groups:
             rows, law = group.rows, group.law
             committed = {name: state.internal_variables[name] for name in law.internal_variables}

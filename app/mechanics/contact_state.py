@@ -206,7 +206,7 @@ def with_rigid_regions(
             is_prescribed &= stage_constraints.prescribed_components(
                 dof[rigid_vertices] - first_owned, axes_of_vertices
             )
-        body = np.full(len(rigid_vertices), bodies.of_region[region])
+        body = np.full(len(rigid_vertices), bodies.body_of_region[region])
         support = np.where(is_prescribed, BY_RIGID_REGION, -1)
         rows = vertex[rigid_vertices], body, support, np.ones(len(rigid_vertices), dtype=bool)
         vertices, body_numbers, supports, is_rigid = gather(body_forms.mesh.comm, *rows)

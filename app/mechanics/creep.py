@@ -81,7 +81,9 @@ class CreepState:
         sizes = [rows[c.region].size for c in laws]
         row_ends = np.cumsum([0, *sizes])
         self.points_of_region = {c.region: slice(*row_ends[k : k + 2]) for k, c in enumerate(laws)}
-        volumes = [body_forms.places(c.region, points, weights)[1].ravel() for c in laws]
+        volumes = [
+            body_forms.points_and_volumes(c.region, points, weights)[1].ravel() for c in laws
+        ]
         self._volumes = np.concatenate(volumes)
         self._shape_functions = linear_shape_functions(points)
         values = {k: [getattr(c, k) for c in laws] for k in ("A", "p", "m0", "m1")}

@@ -68,7 +68,7 @@ class Forces:
         """Nodal forces of an eigenstrain at full amplitude."""
         body_forms, v = self._body_forms, ufl.TestFunction(self._body_forms.space)
         body_forms.set_amplitudes({(e.region, k): 1.0})
-        body = self._bodies.of_region[e.region]
+        body = self._bodies.body_of_region[e.region]
         energy = body_forms.body_energy(body, body_forms.u, body_forms.cells())
         part = assemble_form_vector(body_forms.form(ufl.derivative(energy, body_forms.u, v)))
         part.scale(-1)

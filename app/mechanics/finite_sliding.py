@@ -113,7 +113,7 @@ class FiniteSliding:
     def find_pairs(self, jump: Floats) -> Paired:
         """Pair the points, at jumps of all points of this rank (n, 3) [mm]; collective."""
         self.paired = self._pair_with_surfaces(jump)
-        positions = self.places(jump)
+        positions = self.positions_on_masters(jump)
         for i in self.followers.deformable:
             at_interface = self.interface_of_point == i
             point_number = self._points.rows[
@@ -130,13 +130,13 @@ class FiniteSliding:
         )
         return self._centre + np.einsum("pji,pj->pi", rotations, self.paired.arm)
 
-    def places(self, jump: Floats) -> Floats:
+    def positions_on_masters(self, jump: Floats) -> Floats:
         """Points in the axes of the bodies that they slide on (m, 3) [mm]."""
         from_centre = self._arm + jump[self.rows]
         return self._centre + np.einsum("pji,pj->pi", self.rotation, from_centre)
 
     def _pair_with_surfaces(self, jump: Floats) -> Paired:
-        from_centre, x = self._arm + jump[self.rows], self.places(jump)
+        from_centre, x = self._arm + jump[self.rows], self.positions_on_masters(jump)
         gap, normal = np.zeros(len(x)), np.zeros(x.shape)
         for i, (master, _) in self.followers.sides.items():
             at_interface = self.interface_of_point == i

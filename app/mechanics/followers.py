@@ -55,12 +55,12 @@ def refuse_motions(body_forms: BodyForms) -> None:
                 f"motions.{m.name}.region: {m.region} is elastic, and no softer body slides on it; "
                 "expected the stiffer side of an interface with `sliding: finite`"
             )
-        body = bodies.of_region[m.region]
+        body = bodies.body_of_region[m.region]
         for load in scene.loads:
             loaded_bodies: set[int] = set()
             if load.volume_regions is not None:
                 loaded_bodies |= {
-                    bodies.of_region[r] for r in load.volume_regions or bodies.of_region
+                    bodies.body_of_region[r] for r in load.volume_regions or bodies.body_of_region
                 }
             for boundary in load.boundaries:
                 if boundary != m.boundary:
@@ -106,7 +106,7 @@ class Followers:
         middles = [self.sides[i][0].edges[:, 0] for i in self.deformable]
         self.follower_dofs = np.unique(np.concatenate([*slaves, *middles]))
         self.slaves = [
-            (bodies.of_region[c.slave[0]], self._owned(dofs))
+            (bodies.body_of_region[c.slave[0]], self._owned(dofs))
             for c, dofs in zip(interfaces.values(), slaves, strict=True)
         ]
         masters = [self._owned(self.sides[i][0].dofs) for i in self.deformable]
@@ -114,7 +114,7 @@ class Followers:
         self.changed = True
         self.rotating: dict[str, tuple[Ints, Ints]] = {}
         for m in scene.driven:
-            of_body = bodies.of_tag[cell_tags(tagged)] == bodies.of_region[m.region]
+            of_body = bodies.body_of_tag[cell_tags(tagged)] == bodies.body_of_region[m.region]
             nodes_of_body = np.flatnonzero(touched_nodes(space, of_body))
             driven_nodes = nodes_on(tagged, space, str(m.boundary))
             self.rotating[m.name] = nodes_of_body, driven_nodes[driven_nodes < nodes]
@@ -220,7 +220,7 @@ class Followers:
             vectors[nodes_of_body] = vectors[nodes_of_body] @ self.rotations[name].T
         return vectors.ravel()
 
-    def places(self, x: Floats) -> Floats:
+    def rotated_positions(self, x: Floats) -> Floats:
         """Positions of owned nodes (n, 3) [mm] after the rotations."""
         rotated = x.copy()
         for m in self._scene.driven:

@@ -186,7 +186,7 @@ def support_resistance(
                 comm.allreduce(len(nodes)) or 1
             )
     for motion in scene.motions:
-        body, motion_resistance = bodies.of_region[motion.region], np.zeros((6, 6))
+        body, motion_resistance = bodies.body_of_region[motion.region], np.zeros((6, 6))
         motion_resistance[3:, 3:] = np.eye(3)
         resistance[body] = (
             np.eye(6)

@@ -67,7 +67,7 @@ class StressHistory:
     def __init__(self, body_forms: BodyForms) -> None:
         self._body_forms, scene = body_forms, body_forms.scene
         regions = sorted(body_forms.path_dependent_regions)
-        self._body_of_region = {r: body_forms.bodies.of_region[r] for r in regions}
+        self._body_of_region = {r: body_forms.bodies.body_of_region[r] for r in regions}
         self.bodies = sorted(set(self._body_of_region.values()))
         self._elastic = {e.region: e for e in scene.elastic if e.region in regions}
         for e in self._elastic.values():
@@ -91,27 +91,7 @@ class StressHistory:
         self._free_strain_step = {
             r: fem.Function(body_forms.scalars) for r in regions if r in with_free_strain
         }
-        # Growth and free strain of the last converged state, and those to come.
-        nodes = (
-            len(next(iter(self._free_strain_step.values())).x.array)
-            if self._free_strain_step
-            else 0
-        )
-        with body_forms.timing.phase("compile", "cure"):
-            self._modulus_laws = {
-                c.region: _modulus_law(body_forms.mesh.comm, c, nodes) for c in scene.cures
-            }
-        self._committed_cure = {
-            r: (np.ones(nodes), np.zeros(nodes)) for r in self._free_strain_step
-        } | {
-            c.region: (
-                self._modulus_laws[c.region](a=np.full(nodes, c.initial))[0],
-                np.zeros(nodes),
-            )
-            for c in scene.cures
-        }
-        self._next_cure = dict(self._committed_cure)
-        self.update_moduli()
+        self._set_up_cure()
         self._cells = {r: body_forms.region_cells(r) for r in regions}
         rows = {r: space.dofmap.list[cells] for r, cells in self._cells.items()}
         self.creep = CreepState(body_forms, rows, points, weights) if scene.creeps else None
@@ -121,17 +101,35 @@ class StressHistory:
         self._measure = body_forms.cells()
         self._forces = {b: body_forms.form(self._prestress(b, v)) for b in self.bodies}
         with body_forms.timing.phase("compile", "stress of cure"):
-            self._increments = {
-                r: fem.Expression(
-                    self._stress_of(
-                        e, elasticity.strain(self._displacement_steps[self._body_of_region[r]]), -1
-                    ),
-                    points,
-                    comm=body_forms.mesh.comm,
-                )
-                for r, e in self._elastic.items()
-            }
+            self._increments = {r: self._increment_of(e) for r, e in self._elastic.items()}
         self._state_at_rest = self.state()
+
+    def _set_up_cure(self) -> None:
+        """Set growth of the moduli and free strain of the uncured state; collective.
+
+        Both are at the vertices [-]: of the last converged state, and at the end of the step.
+        """
+        body_forms, cures = self._body_forms, self._body_forms.scene.cures
+        functions = list(self._free_strain_step.values())
+        nodes = len(functions[0].x.array) if functions else 0
+        with body_forms.timing.phase("compile", "cure"):
+            self._modulus_laws = {
+                c.region: _modulus_law(body_forms.mesh.comm, c, nodes) for c in cures
+            }
+        self._committed_cure: dict[str, tuple[Floats, Floats]] = {
+            r: (np.ones(nodes), np.zeros(nodes)) for r in self._free_strain_step
+        }
+        for c in cures:
+            growth = self._modulus_laws[c.region](a=np.full(nodes, c.initial))[0]
+            self._committed_cure[c.region] = growth, np.zeros(nodes)
+        self._next_cure = dict(self._committed_cure)
+        self.update_moduli()
+
+    def _increment_of(self, e: Elastic) -> fem.Expression:
+        """Compile the stress that a step adds in a region, at the quadrature points [MPa]."""
+        u = self._displacement_steps[self._body_of_region[e.region]]
+        stress = self._stress_of(e, elasticity.strain(u), -1)
+        return fem.Expression(stress, self.points, comm=self._body_forms.mesh.comm)
 
     def _stress_of(self, e: Elastic, ε: Expr, sign: int) -> Expr:
         """Stress of a strain, with the step's free strain added or subtracted."""

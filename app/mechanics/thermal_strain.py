@@ -28,7 +28,7 @@ class ThermalStrain:
     def __init__(self, body_forms: BodyForms) -> None:
         self._body_forms, scene = body_forms, body_forms.scene
         self._expansions = [x for x in scene.expansions if x.region in body_forms.free_strain]
-        self.body = {x.region: body_forms.bodies.of_region[x.region] for x in self._expansions}
+        self.body = {x.region: body_forms.bodies.body_of_region[x.region] for x in self._expansions}
         self._elastic = {e.region: e for e in scene.elastic}
         self.assemble()
 

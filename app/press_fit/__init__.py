@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 from app.case.case import Case
 from app.case.quantities import ORDER_OF_STRESS, ORDER_OF_TRACTION, Quantity, add_quantity
 from app.press_fit import findings as findings  # registers its checks
-from app.results.records import Followed, add_record
+from app.results.records import RecordedModel, add_record
 
 if TYPE_CHECKING:
     from app.press_fit.after_insertion import AfterInsertion
 
 
-def _after_insertion(case: Case, followed: Followed) -> AfterInsertion | None:
+def _after_insertion(case: Case, followed: RecordedModel) -> AfterInsertion | None:
     """The record of a run, or None if nothing in its case is pressed in; collective."""
     contact = followed.problem.contact
     if contact is None or not contact.insertion_time > 0.5:  # stages end at whole times

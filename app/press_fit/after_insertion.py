@@ -10,7 +10,7 @@ from app.foundation.arrays import Bools, Floats
 from app.mechanics.contact import TrialState
 from app.results.interface_numbers import ContactSamples
 from app.results.percentiles import percentile
-from app.results.records import Followed, Record
+from app.results.records import Record, RecordedModel
 from app.results.surface_parts import in_parts
 from app.stepping.load_steps import LoadStep, OnStep
 
@@ -30,7 +30,7 @@ class AfterInsertion(Record):
 
     saved = ("inserted",)
 
-    def __init__(self, case: Case, followed: Followed) -> None:
+    def __init__(self, case: Case, followed: RecordedModel) -> None:
         self._followed = followed
         problem = followed.problem
         elastic = {e.region for e in problem.scene.elastic}
@@ -70,7 +70,7 @@ class AfterInsertion(Record):
         strains: dict[str, Numbers] = {}
         for region in self._bone:
             stresses = self._followed.stresses
-            x, volume = stresses.places(region)
+            x, volume = stresses.points_and_volumes(region)
             strain = stresses.hoop_strain(region).ravel()
             values, weight, beside = stresses.gather(
                 np.stack([strain, volume.ravel(), self._beside(x)])

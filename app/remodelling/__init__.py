@@ -16,7 +16,7 @@ from app.laws.densities import ChangingDensity
 from app.remodelling import findings as findings  # registers its checks
 from app.remodelling.laws import Remodelling, regions_of, remodelling_of
 from app.remodelling.stages import STAGES
-from app.results.records import Followed, add_record
+from app.results.records import RecordedModel, add_record
 from app.scene.scene import by_density
 from app.schema.section import add_key
 from app.simulation.steppers import add_stepper
@@ -37,7 +37,7 @@ def _bone(case: Case) -> Mapping[str, ChangingDensity]:
     return dict.fromkeys(regions_of(case), ChangingDensity(law.law, law.density))
 
 
-def _mass(case: Case, mechanics: Followed) -> BoneMass | None:
+def _mass(case: Case, mechanics: RecordedModel) -> BoneMass | None:
     """The record of a run, or None if nothing in its case remodels."""
     if not remodelling_of(case):
         return None

@@ -13,7 +13,7 @@ import numpy as np
 from app.foundation.arrays import Floats
 from app.mechanics.body_forms import linear_shape_functions
 from app.results.hip import zone_integrals
-from app.results.records import Followed, Record
+from app.results.records import Record, RecordedModel
 
 # Mass of 1 mm3 of 1 g/cm3 [g].
 GRAM = 1e-3
@@ -59,7 +59,7 @@ class BoneMass(Record):
 
     saved = ("mass", "seconds", "steps")
 
-    def __init__(self, mechanics: Followed) -> None:
+    def __init__(self, mechanics: RecordedModel) -> None:
         self.problem = mechanics.problem
         self.forms = mechanics.problem.body_forms
         self.stresses = mechanics.stresses
@@ -73,7 +73,9 @@ class BoneMass(Record):
         """Integrals of a region's density (cells, points) times the hat functions of vertices."""
         forms, stresses = self.forms, self.stresses
         cells = {
-            r: density(r) * stresses.places(r)[1] @ linear_shape_functions(stresses.points[r])
+            r: density(r)
+            * stresses.points_and_volumes(r)[1]
+            @ linear_shape_functions(stresses.points[r])
             for r in forms.by_density
         }
         return np.array([forms.vertex_sums(forms.vertices(r), sums) for r, sums in cells.items()]).T

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
+import matplotlib as mpl
+import matplotlib.figure
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -316,25 +318,7 @@ def draw(
         return []
     round = all(s.round for _, _, s in columns)
     titles = [textwrap.fill(title.replace("_", " "), 30) for title, _, _ in columns]
-    is_single = len(columns) == 1
-    row_count, column_count = len(rows), len(titles)
-    if is_single:
-        row_count, column_count = math.ceil(len(rows) / 2), min(2, len(rows))
-    width, height = (3.0, 2.9) if round else (3.4, 3.0)
-    width, height = (width + 0.8 * is_single) * column_count + 1.2, height * row_count + 0.3
-    title_height = 0.15 + 0.18 * max(len(title.splitlines()) for title in titles)
-    figure = figures.new(width, height + title_height)
-    figure.set_layout_engine(None)  # takes a third of the time
-    margins = (
-        0.75 / width,
-        0.4 / (height + title_height),
-        1 - 0.45 / width,
-        height / (height + title_height),
-    )
-    figure.subplots_adjust(*margins, wspace=0.2 if is_single else 0.12, hspace=0.16)
-    grid = figure.subplots(row_count, column_count, squeeze=False, sharey=round)
-    for axes in grid.ravel()[len(rows) * len(columns) :]:
-        axes.set_visible(False)
+    figure, grid = _panels(titles, len(rows), round)
     panels = grid.reshape(-1, len(columns))
     for axes_row, (label, colours, fields) in zip(panels, rows, strict=False):
         sheet_values = [(map_sheet, v) for (*_, map_sheet), v in zip(columns, fields, strict=True)]
@@ -362,6 +346,38 @@ def draw(
         axes.set_ylabel("height (mm)" if round else "mm")
     figures.save(figure, path, 160, suffixes)
     return [label for label, *_ in rows]
+
+
+def _panels(
+    titles: Sequence[str], quantities: int, round: bool
+) -> tuple[mpl.figure.Figure, NDArray[np.object_]]:
+    """Return a figure and its axes (rows, columns) for maps of quantities in cases.
+
+    Args:
+        titles: Titles of the cases.
+        quantities: Number of quantities.
+        round: True for maps of round interfaces, which share their heights.
+    """
+    is_single = len(titles) == 1
+    row_count, column_count = quantities, len(titles)
+    if is_single:
+        row_count, column_count = math.ceil(quantities / 2), min(2, quantities)
+    width, height = (3.0, 2.9) if round else (3.4, 3.0)
+    width, height = (width + 0.8 * is_single) * column_count + 1.2, height * row_count + 0.3
+    title_height = 0.15 + 0.18 * max(len(title.splitlines()) for title in titles)
+    figure = figures.new(width, height + title_height)
+    figure.set_layout_engine(None)  # takes a third of the time
+    margins = (
+        0.75 / width,
+        0.4 / (height + title_height),
+        1 - 0.45 / width,
+        height / (height + title_height),
+    )
+    figure.subplots_adjust(*margins, wspace=0.2 if is_single else 0.12, hspace=0.16)
+    grid = figure.subplots(row_count, column_count, squeeze=False, sharey=round)
+    for axes in grid.ravel()[quantities * len(titles) :]:
+        axes.set_visible(False)
+    return figure, grid
 
 
 def _limits(values: Floats, label: str, colours: str) -> tuple[float, float]:

@@ -192,34 +192,18 @@ def _run(
     input_spread = of_run(spread, case) if spread else None
     panels = _forces(case)
     panels += step_curves.over_time(case.step_record, at_rest=_starts_at_rest(case))
-    curve_drawings = [curves.drawing(panel) for panel in panels]
-    tension_drawings = [curves.drawing(panel) for panel in step_curves.tension(summary)]
     if share == math.inf and panels:
         (folder / PICTURES).mkdir(exist_ok=True)
         files = curves.draw(folder / PICTURES / "curves.png", panels, 3) + files
     if share == math.inf:
         files = _path_files(case) + files
-    case_file = _text(folder / "case.yaml")
-    verbatim = [Verbatim(case_file)] if case_file else []
-    every_number = _tables(summary, all_parts=True)
     sections = [
         PageSection("model", "Bodies, supports and loads", model),
         PageSection("numbers", "Numbers", _numbers(summary, input_spread)),
         PageSection("sides", "The interfaces from three sides", sides),
-        PageSection("curves", "Over time", page.drawings(curve_drawings)),
-        PageSection("paths", "Along paths", path_curves.of_run(case)),
-        PageSection("tension", "Cement under tension", page.drawings(tension_drawings)),
-        PageSection("maps", "Maps of the interfaces", maps),
-        PageSection("gruen", "Gruen zones", gruen.blocks([("", case)])),
-        PageSection("mantle", "Cement mantle", table(*gruen.mantles([case]))),
-        PageSection("all", "All numbers", page.folded("every number with its error", every_number)),
-        PageSection("solver", "Convergence of the solver", _solver(case, summary)),
-        PageSection("case", "Input", page.folded("the case with all defaults", verbatim)),
-        PageSection(
-            "provenance",
-            "Provenance",
-            page.folded("program, machine, checksums", page.pairs(record)),
-        ),
+        PageSection("curves", "Over time", page.drawings([curves.drawing(p) for p in panels])),
+        *_result_sections(case, summary, maps),
+        *_record_sections(case, summary, record),
     ]
     solved = bool(summary["time"])
     sentences = [lead.loads(case, summary) if solved else _no_results(summary)]
@@ -236,6 +220,34 @@ def _run(
     )
     write_text(folder / PAGE, html)
     return [folder / PAGE, *files]
+
+
+def _result_sections(case: SweptCase, summary: Summary, maps: list[Block]) -> list[PageSection]:
+    """Return the sections of results by place: paths, cement, maps, Gruen zones."""
+    tension = [curves.drawing(panel) for panel in step_curves.tension(summary)]
+    return [
+        PageSection("paths", "Along paths", path_curves.of_run(case)),
+        PageSection("tension", "Cement under tension", page.drawings(tension)),
+        PageSection("maps", "Maps of the interfaces", maps),
+        PageSection("gruen", "Gruen zones", gruen.blocks([("", case)])),
+        PageSection("mantle", "Cement mantle", table(*gruen.mantles([case]))),
+    ]
+
+
+def _record_sections(case: SweptCase, summary: Summary, record: Json) -> list[PageSection]:
+    """Return the sections that document a run: all numbers, convergence, input, provenance."""
+    every_number = _tables(summary, all_parts=True)
+    case_file = _text(case.folder / "case.yaml")
+    verbatim = [Verbatim(case_file)] if case_file else []
+    provenance = page.pairs(record)
+    return [
+        PageSection("all", "All numbers", page.folded("every number with its error", every_number)),
+        PageSection("solver", "Convergence of the solver", _solver(case, summary)),
+        PageSection("case", "Input", page.folded("the case with all defaults", verbatim)),
+        PageSection(
+            "provenance", "Provenance", page.folded("program, machine, checksums", provenance)
+        ),
+    ]
 
 
 def _forces(case: SweptCase) -> list[curves.Panel]:

@@ -158,7 +158,8 @@ def packed(
         motion_bytes: Limit of the size of steps between the ends of stages [bytes].
     """
     steps_by_name, kinds = _moments(run), kinds_of(run)
-    stage_ends, other_steps = [*steps_by_name], {} if minus is None else _moments(minus)
+    stage_ends = [*steps_by_name]
+    other_steps = {} if minus is None else _moments(minus)
     if minus is not None:
         stage_ends = [s for s in stage_ends if s == stage_ends[-1] or s in other_steps]
         kinds = [kind for kind in kinds if kind.name in minus.point_fields]
@@ -178,16 +179,8 @@ def packed(
     head: dict[str, object] = {
         "points": {"at": numbers.add(packed_points), "n": len(nodes), **extent},
         "bodies": [
-            {
-                "name": body,
-                "at": numbers.add(np.searchsorted(nodes, t).astype(np.uint32)),
-                "triangles": len(t),
-                "inside": numbers.add(
-                    np.searchsorted(nodes, filling_cells[body]).astype(np.uint32)
-                ),
-                "cells": len(filling_cells[body]),
-            }
-            for body, t in surfaces.items()
+            _packed_body(body, triangles, filling_cells[body], nodes, numbers)
+            for body, triangles in surfaces.items()
         ],
         "stages": [frame.name for frame in frames],
         "ends": stage_ends,
@@ -202,22 +195,40 @@ def packed(
         u = run.displacement(frame.step)[nodes] if "displacement" in run.point_fields else 0 * x
         highest = float(np.abs(u).max()) or 1.0
         moves.append({"at": numbers.add(fractions((u / highest + 1) / 2)), "most": highest})
-    for name, contact, label, unit, factor in kinds:
-        is_on_interface = run.at_interface(contact, "status", -1)[nodes] >= 0 if contact else True
+    for kind in kinds:
+        is_on_interface: Bools | bool = True
+        if kind.contact:
+            is_on_interface = run.at_interface(kind.contact, "status", -1)[nodes] >= 0
         steps: list[dict[str, object] | None] = []
         for frame in frames:
-            if not frame.whole and not name.endswith(MOVING):
+            if not frame.whole and not kind.name.endswith(MOVING):
                 steps.append(None)
                 continue
             other_step = -1 if frame.name == stage_ends[-1] else other_steps.get(frame.name, -1)
-            subtracted = 0.0 if minus is None else lengths(minus, name, other_step)
-            v = factor * (lengths(run, name, frame.step) - subtracted)[nodes]
+            subtracted = 0.0 if minus is None else lengths(minus, kind.name, other_step)
+            v = kind.factor * (lengths(run, kind.name, frame.step) - subtracted)[nodes]
             packed_values, lowest, highest = _scaled(
                 v, np.isfinite(v) & (is_on_interface | (v > 0))
             )
             steps.append({"at": numbers.add(packed_values), "min": lowest, "max": highest})
-        fields.append({"name": name, "label": label, "unit": unit, "steps": steps})
+        fields.append({"name": kind.name, "label": kind.label, "unit": kind.unit, "steps": steps})
     return head, numbers.content()
+
+
+def _packed_body(
+    body: str, triangles: Ints, filling_cells: Ints, nodes: Ints, numbers: PackedArrays
+) -> dict[str, object]:
+    """Append the triangles (t, 3) of a body, and the cells (c, 4) that fill a cut through it.
+
+    Their nodes are written as rows in ``nodes``, the drawn nodes in increasing order.
+    """
+    return {
+        "name": body,
+        "at": numbers.add(np.searchsorted(nodes, triangles).astype(np.uint32)),
+        "triangles": len(triangles),
+        "inside": numbers.add(np.searchsorted(nodes, filling_cells).astype(np.uint32)),
+        "cells": len(filling_cells),
+    }
 
 
 def opening(

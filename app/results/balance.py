@@ -12,7 +12,7 @@ the error of this rule.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -165,7 +165,7 @@ class Balance:
 
     def _work_of(self, elastic_region: Elastic, strain: Expr) -> ufl.Form:
         body_forms, problem = self._problem.body_forms, self._problem
-        U = problem.displacements()[problem.bodies.of_region[elastic_region.region]]
+        U = problem.displacements()[problem.bodies.body_of_region[elastic_region.region]]
         σ = elasticity.stress(
             lambda ε: body_forms.energy_density(elastic_region, ε),
             body_forms.elastic_strain(elastic_region, U),
@@ -174,21 +174,38 @@ class Balance:
             elastic_region, body_forms.cells()
         )
 
+    def _elastic_energy(self, elastic: Sequence[tuple[int, PETSc.Vec]]) -> float:
+        """Stored energy of this rank [N mm], from the internal forces [N] of each body.
+
+        Without free strains it is half the work of the forces in the displacements.
+        """
+        if self._elastic:
+            return float(fem.assemble_scalar(self._elastic))
+        displacements = self._problem.displacements()
+        works = []
+        for b, body_forces in elastic:
+            forces = body_forces.array_r
+            works.append(float(forces @ displacements[b].x.array[: len(forces)]))
+        return sum(works) / 2
+
+    def _work_of_free_strains(self) -> Pairs:
+        """Forces of free strains [N mm] and eigenstrains, with their values."""
+        pairs: Pairs = []
+        for free_strain, form in self._swelling:
+            work = assemble_form_vector(form).array.copy()
+            pairs.append((work, free_strain.x.array[: len(work)].copy()))
+        for load_history, form in self._strain_work:
+            strain = np.array([amplitude(load_history, self._problem.load_time)])
+            pairs.append((np.array([fem.assemble_scalar(form)]), strain))
+        return pairs
+
     def _measure(self, u: PETSc.Vec, trial: TrialState | None) -> _State:
+        """Forces and motions of a state, whose displacements are updated; collective."""
         problem, constraints = self._problem, self._problem.stiffness.constraints
         displacements = problem.displacements()
         setting = [(b, assemble_form_vector(form)) for b, form in self._setting]
         elastic = [(b, assemble_form_vector(form)) for b, form in self._internal]
-        if self._elastic:
-            energy = fem.assemble_scalar(self._elastic)
-        else:
-            load_motions = (
-                (body_forces.array_r, displacements[b].x.array) for b, body_forces in elastic
-            )
-            energy = (
-                sum(float(body_forces @ v[: len(body_forces)]) for body_forces, v in load_motions)
-                / 2
-            )
+        energy = self._elastic_energy(elastic)
         inner = problem.forces.action([*elastic, *setting])
         if problem.body_forms.by_density:
             setting, energy = [*setting, *elastic], 0.0
@@ -216,12 +233,7 @@ class Balance:
                 followers.to_global_axes, (outer, displacement, passed_to_masters)
             )
         external = [(outer, displacement), (acting.jump + held_q, jump)]
-        for free_strain, form in self._swelling:
-            work = assemble_form_vector(form).array.copy()
-            external.append((work, free_strain.x.array[: len(work)].copy()))
-        for load_history, form in self._strain_work:
-            strain = np.array([amplitude(load_history, problem.load_time)])
-            external.append((np.array([fem.assemble_scalar(form)]), strain))
+        external += self._work_of_free_strains()
         springs = assemble_form_vector(self._springs).array if self._springs else 0.0
         setting_forces = [
             (body_forces.array, displacements[b].x.array[: len(outer)].copy())
@@ -233,7 +245,7 @@ class Balance:
         return _State(
             external,
             setting_forces,
-            float(energy),
+            energy,
             outer - springs + passed_to_masters,
             reaction,
             total,
@@ -275,7 +287,7 @@ class Balance:
         problem, comm = self._problem, self._problem.comm
         outer = current.outer.reshape(-1, 3)
         followers = problem.followers
-        arm = (followers.places(self._nodes) if followers else self._nodes) - self._about
+        arm = (followers.rotated_positions(self._nodes) if followers else self._nodes) - self._about
         sums = np.array([outer.sum(axis=0), np.cross(arm, outer).sum(axis=0)])
         force, moment = comm.allreduce(sums)
         loads = sum(np.linalg.norm(r) for r in problem.forces.resultants(problem.load_time))

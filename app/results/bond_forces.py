@@ -203,7 +203,7 @@ class BondForces:
         for region, (rows, nodes, gradients) in geometry.cells.items():
             σ = self._stresses.evaluate(region)[rows]
             forces = np.einsum("cqij,cqnj->cni", σ, gradients)
-            np.add.at(nodal[geometry.pieces.of_region[region]], nodes, forces)
+            np.add.at(nodal[geometry.pieces.body_of_region[region]], nodes, forces)
         exerted = problem.comm.allreduce(nodal)[:, :-1]
         for load in problem.scene.loads:
             if geometry.near_boundaries.has(load.boundaries):
@@ -231,17 +231,11 @@ class BondForces:
     def _geometry(self) -> _BondGeometry:
         """Interfaces of the mesh with contact points, the same in all states and variations."""
         problem, scene, frames = self._problem, self._problem.scene, self._problem.stiffness.frames
-        conforming = [c for c in scene.contacts if not c.between]
-        pieces, other_pieces = pieces_of(problem.tagged, [*self._bonds, *conforming])
-        unnamed = [
-            replace(self._bonds[0], name=f"{a}_{b}", master=(a,), slave=(b,))
-            for a, b in other_pieces
-        ]
-        interfaces = [*self._bonds, *conforming, *unnamed]
+        pieces, interfaces = self._pieces_and_interfaces()
         # Mechanical body of each piece.
         body = np.zeros(len(pieces.names), dtype=np.int64)
-        for region, piece in pieces.of_region.items():
-            body[piece] = problem.bodies.of_region[region]
+        for region, piece in pieces.body_of_region.items():
+            body[piece] = problem.bodies.body_of_region[region]
         if frames is not None:
             frames = replace(frames, acts=frames.acts[:, body])
         facets = contact_facets(problem.tagged, pieces, problem.space, interfaces, scene.moduli)
@@ -261,12 +255,28 @@ class BondForces:
             entries=entries,
             surfaces=surfaces,
             pieces=pieces,
-            rigid=np.unique([pieces.of_region[r.region] for r in scene.rigid]).astype(np.int64),
+            rigid=np.unique([pieces.body_of_region[r.region] for r in scene.rigid]).astype(
+                np.int64
+            ),
             nodes=nodes,
             cells={r: self._cells(r, nodes) for r in self._stresses.cells},
             near_boundaries=near_boundaries,
             springs=self._springs(near_boundaries, body),
         )
+
+    def _pieces_and_interfaces(self) -> tuple[Bodies, list[Interface]]:
+        """Return the pieces of the bodies and the conforming interfaces between them.
+
+        Pieces that touch without an interface have an unnamed bond.
+        """
+        problem = self._problem
+        conforming = [c for c in problem.scene.contacts if not c.between]
+        pieces, other_pieces = pieces_of(problem.tagged, [*self._bonds, *conforming])
+        unnamed = [
+            replace(self._bonds[0], name=f"{a}_{b}", master=(a,), slave=(b,))
+            for a, b in other_pieces
+        ]
+        return pieces, [*self._bonds, *conforming, *unnamed]
 
     def _boundaries_near(self, pieces: Bodies, nodes: Ints) -> SurfaceMeasure:
         """Return measures of loaded or supported boundaries with some of the nodes; collective."""
@@ -340,6 +350,6 @@ class BondForces:
         )
         x = geometry.x[geometry.dofmap[stresses.cells[region][rows]]]
         inverse = np.linalg.inv(np.einsum("cni,jqn->cqij", x, of_x))
-        volumes = stresses.places(region)[1][rows]
+        volumes = stresses.points_and_volumes(region)[1][rows]
         gradients = np.einsum("cq,jqn,cqji->cqni", volumes, of_u, inverse, optimize=True)
         return rows, near_rows[rows], gradients

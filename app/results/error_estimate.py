@@ -195,12 +195,12 @@ def estimate(run: Summary, case: Case, solved: Solved) -> dict[str, list[list[fl
         for companion, companion_summary in solved
     ]
     run_numbers = {(section, name) for section, name, _ in numbers_of(run)}
-    peaks = [
-        ("motion" if k in ALIKE else k, abs(numbers[k]))
-        for section, _, numbers in tables
-        for k, q in TABLE[section].items()
-        if q.peak and k in numbers
-    ]
+    largest_peak: dict[str, float] = {}
+    for section, _, numbers in tables:
+        for k, q in TABLE[section].items():
+            if q.peak and k in numbers:
+                kind = _peak_kind(k)
+                largest_peak[kind] = max(largest_peak.get(kind, 0.0), abs(numbers[k]))
     largest = largest_of_units(run)
     for section, name, numbers in tables:
         companion_numbers = [
@@ -220,31 +220,62 @@ def estimate(run: Summary, case: Case, solved: Solved) -> dict[str, list[list[fl
                 if (section, name) in run_numbers and section != OUTSIDE_MEDIAN:
                     changes.setdefault(LIKE.get(q.order, q.order), []).append(change)
                 estimated_numbers.append((numbers, q.key, q.order))
-        for k in (q.key for q in available if q.peak):
-            values = _values_on_meshes(k, numbers, case, companion_numbers)
-            value, coarser_value = values[0][1], values[:2][-1][1]
-            peak_kind = "motion" if k in ALIKE else k
-            # A peak is ignored if it is negligible relative to the same peak on other interfaces.
-            size = max(
-                abs(value),
-                UNSETTLED * max(v for kind, v in peaks if kind == peak_kind),
-            )
-            unit, change = TABLE[section][k].unit, abs(value - coarser_value)
-            if is_zero(value, change, largest[unit]) and abs(coarser_value) < SMALL * largest[unit]:
+        for q in available:
+            if not q.peak:
                 continue
-            if change > UNSETTLED * size:
-                unsettled.append((change / max(size, abs(coarser_value)), f"{name}.{k}", values))
+            values = _values_on_meshes(q.key, numbers, case, companion_numbers)
+            change = _unsettled_change(
+                values[0][1], values[:2][-1][1], largest_peak[_peak_kind(q.key)], largest[q.unit]
+            )
+            if change is not None:
+                unsettled.append((change, f"{name}.{q.key}", values))
     _add_zone_errors(run, order, solved)
-    typical = {peak_kind: float(np.median(of_class)) for peak_kind, of_class in changes.items()}
-    for numbers, key, convergence_orders in estimated_numbers:
-        smallest_error = (
-            FACTORS[convergence_orders][order][1]
-            * typical[LIKE.get(convergence_orders, convergence_orders)]
-            * abs(numbers[key])
-        )
-        numbers[f"{key}_error"] = max(numbers[f"{key}_error"], smallest_error)
+    _raise_to_typical_errors(estimated_numbers, changes, order)
     largest_first = sorted(unsettled, key=lambda peak: peak[0], reverse=True)
     return {name: values for _, name, values in largest_first}
+
+
+def _peak_kind(key: str) -> str:
+    """Return the kind of a maximum; all motions are of one kind."""
+    return "motion" if key in ALIKE else key
+
+
+def _unsettled_change(
+    value: float, coarser_value: float, largest_peak: float, largest: float
+) -> float | None:
+    """Return the relative change of a maximum to a coarser mesh, None if it is small.
+
+    Args:
+        value: The maximum.
+        coarser_value: The maximum on the next coarser mesh.
+        largest_peak: Largest maximum of its kind; relative to it a maximum can be negligible.
+        largest: Largest absolute value of the numbers of its unit.
+    """
+    size = max(abs(value), UNSETTLED * largest_peak)
+    change = abs(value - coarser_value)
+    if is_zero(value, change, largest) and abs(coarser_value) < SMALL * largest:
+        return None
+    return change / max(size, abs(coarser_value)) if change > UNSETTLED * size else None
+
+
+def _raise_to_typical_errors(
+    estimated_numbers: Sequence[tuple[Numbers, str, Orders]],
+    changes: Mapping[Orders, Sequence[float]],
+    order: int,
+) -> None:
+    """Raise errors that are small by chance, to a fraction of the median of their class.
+
+    Args:
+        estimated_numbers: Tables of numbers with the key and the class of each estimated number.
+        changes: Relative changes of the numbers of each class [-].
+        order: Polynomial order of the displacement less one.
+    """
+    typical = {orders: float(np.median(of_class)) for orders, of_class in changes.items()}
+    for numbers, key, orders in estimated_numbers:
+        smallest_error = (
+            FACTORS[orders][order][1] * typical[LIKE.get(orders, orders)] * abs(numbers[key])
+        )
+        numbers[f"{key}_error"] = max(numbers[f"{key}_error"], smallest_error)
 
 
 def largest_of_units(summary: Summary) -> dict[str, float]:

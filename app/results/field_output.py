@@ -85,10 +85,9 @@ def output_nodes(
     tags = cell_tags(tagged)[cell]
     nodes = []
     for group in groups:
-        body = group.bodies.of_tag[tags]
-        of_region = group.bodies.of_region
+        body = group.bodies.body_of_tag[tags]
         regions_of_body: list[list[str]] = [[] for _ in group.bodies.names]
-        for region, number in of_region.items():
+        for region, number in group.bodies.body_of_region.items():
             regions_of_body[number].append(region)
         nodes.append(OutputNodes(body, dof, cell, NODE_VERTICES[local], regions_of_body, body))
     return nodes, rows.reshape(dofs.shape), keys
@@ -104,7 +103,7 @@ class Fields:
         # Each combination of bodies of mechanics and heat has one number.
         bodies: Ints = np.zeros(owned, dtype=np.int64)
         for group in groups:
-            bodies = bodies * len(group.bodies.names) + group.bodies.of_tag[tags]
+            bodies = bodies * len(group.bodies.names) + group.bodies.body_of_tag[tags]
         self._nodes, cells, keys = output_nodes(tagged, groups, np.arange(owned), bodies)
         self._grid = Grid(
             points=space.tabulate_dof_coordinates()[self._nodes[0].dof],
@@ -280,7 +279,7 @@ class MechanicalFields:
             u[on_body] = function.x.array.reshape(-1, 3)[nodes.dof[on_body]]
         scene, x = self._problem.scene, self.space.tabulate_dof_coordinates()[nodes.dof]
         for motion in scene.motions:
-            on_body = nodes.body == self.bodies.of_region[motion.region]
+            on_body = nodes.body == self.bodies.body_of_region[motion.region]
             R = scene.rotation(motion, self._problem.time)
             if np.isfinite(scene.moduli[motion.region]):  # its displacement is in rotated axes
                 u[on_body] = u[on_body] @ R.T
@@ -345,9 +344,9 @@ class MechanicalFields:
                 if region not in regions:
                     continue
                 σ = _components(self._stresses.evaluate(region))
-                mean[owned] = self._stresses.shares[region] @ σ
+                mean[owned] = self._stresses.volume_fractions[region] @ σ
                 at_nodes = extrapolated(σ, self._stresses.points[region], X)
-                volume = self._stresses.places(region)[1].sum(axis=1)
+                volume = self._stresses.points_and_volumes(region)[1].sum(axis=1)
                 owned_dofs = dofs[owned].ravel()
                 # A column at a time takes a tenth of the time of np.add.at.
                 for c in range(len(COMPONENTS)):

@@ -80,7 +80,7 @@ class ProbedMechanics:
         points = {n: p for n, p in case.output.probes.items() if isinstance(p, Probe)}
         points_and_regions = {name: (p.at, p.region) for name, p in points.items()}
         self._points = Probes(
-            problem.tagged, problem.space, problem.bodies.of_region, points_and_regions
+            problem.tagged, problem.space, problem.bodies.body_of_region, points_and_regions
         )
         surfaces: dict[str, _Surface] = {}
         self._gauges: dict[str, _Gauge] = {}
@@ -168,7 +168,7 @@ def _on_this_rank(problem: Problem, surface: _Surface, points: GaugePoints) -> _
     return _Gauge(
         centre=points.centre,
         direction=points.direction,
-        body=problem.bodies.of_tag[bodies.cell_tags(problem.tagged)[cell]],
+        body=problem.bodies.body_of_tag[bodies.cell_tags(problem.tagged)[cell]],
         nodes=space.dofmap.list[cell].astype(np.int64),
         mean=weight * of_u[0],
         slope=weight * np.einsum("jnk,nj->nk", of_u[1:], along_grid[:, :, 0]),

@@ -141,7 +141,7 @@ def facet_surface(problem: Problem, f: bodies.FacetCells) -> FacetSurface:
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     dofs = problem.space.dofmap.list[f.cells][:, :4]
     dofs = np.take_along_axis(dofs, bodies.FACET_NODES[f.local, :3], axis=1)
-    body = problem.bodies.of_tag[bodies.cell_tags(problem.tagged)[f.cells]]
+    body = problem.bodies.body_of_tag[bodies.cell_tags(problem.tagged)[f.cells]]
     local = corners.mean(axis=1), np.linalg.norm(normal, axis=1) / 2
     x, area = (np.concatenate(problem.comm.allgather(part)) for part in local)
     return FacetSurface(problem.comm, x, area, (body[:, None], dofs))
@@ -157,7 +157,7 @@ def _ends(problem: Problem, implant: Sequence[str]) -> list[tuple[Ints, Ints, In
     cells = {r: problem.body_forms.region_cells(r) for r in implant}
     dofs_of = {r: np.unique(problem.space.dofmap.list[c][:, :4]) for r, c in cells.items()}
     dofs = np.concatenate(list(dofs_of.values()))
-    body_of_region = problem.bodies.of_region
+    body_of_region = problem.bodies.body_of_region
     body = np.concatenate([np.full(len(rows), body_of_region[r]) for r, rows in dofs_of.items()])
     x = problem.space.tabulate_dof_coordinates()[dofs]
     lowest = comm.allreduce(float(x[:, 2].min(initial=np.inf)), MPI.MIN)
@@ -231,7 +231,7 @@ def _axial_strain(problem: Problem, facets: bodies.FacetCells) -> Floats:
         """Return derivatives (f, 3, 3) in the reference cell of nodal values (f, n, 3)."""
         return np.einsum("jfn,fni->fij", shape_functions[1:, facets.local], values)
 
-    u = nodal_displacements(problem)[problem.bodies.of_region["cortical_bone"]]
+    u = nodal_displacements(problem)[problem.bodies.body_of_region["cortical_bone"]]
     x = mesh.geometry.x[mesh.geometry.dofmap[facets.cells]].astype(np.float64)
     of_x, of_u = (
         element.sub_elements[0].tabulate(1, centres)
@@ -318,7 +318,7 @@ def zone_integrals(
     The first one is outside all zones. The integrals use the points at which stress is known,
     because a cell may be in several zones.
     """
-    x, volume = stresses.places(region)
+    x, volume = stresses.points_and_volumes(region)
     zone = zones.zones_at(x) * zones.is_left(x)[:, None]
     rows = (np.repeat((w * volume).ravel(), 2) for w in densities)
     count = len(zones.numbers) + 1

@@ -81,6 +81,26 @@ def least_friction(trial: TrialState) -> tuple[Floats, Floats]:
     return pressures, friction
 
 
+def overlap_of_faces(trial: TrialState) -> Floats:
+    """Return the overlap of the faces of local points (n, 3) [mm], 0 where they are open."""
+    contact = trial.contact
+    opening = np.einsum("pi,pki->pk", trial.jump + contact.gap, contact.local.normals)
+    is_face = np.arange(3)[None, :] < contact.local.faces[:, None]
+    return np.where(is_face, np.maximum(-opening, 0.0), 0.0)
+
+
+def status_at_rest(trial: TrialState) -> Ints:
+    """Return the states of local points (n,); points that slip less than rounding stick.
+
+    Collective, for the longest path of sliding of all ranks. A point without faces sticks.
+    """
+    contact, state = trial.contact, trial.contact.state
+    longest_path = contact.gather(state.path).max(initial=0.0)
+    is_resting = contact.law.frictional & (state.step_slip <= AT_REST * longest_path)
+    is_held = (contact.local.faces == 0) | (is_resting & (trial.law.status == SLIP))
+    return np.where(is_held, STICK, trial.law.status)
+
+
 class TractionSize(NamedTuple):
     """Size of a traction at the faces of points [MPa].
 
@@ -148,17 +168,19 @@ class ContactSamples:
             """Distribute amounts at the contact points to their corners, by area."""
             return at_corners(values / local.weight) * surface.weight
 
+        def motion_since(jumps: Floats | float) -> Floats:
+            """Motion of the corners since jumps of local points (n, 3) [mm]."""
+            return surface.true_jumps(contact.gather(trial.jump - jumps))
+
         self.all_corners = surface
         self.interface, self.x, self.weight = surface.interface, surface.x, surface.weight
-        motion = surface.true_jumps(contact.gather(trial.jump))
+        motion = motion_since(0.0)
         opening = np.einsum("pi,pki->pk", motion + at_corners(contact.gap), surface.normals)
         is_face = np.arange(3)[None, :] < surface.faces[:, None]
         self.gap = np.where(is_face, opening, 0.0)
         self.opening = np.max(opening, axis=1, where=is_face, initial=-np.inf)
         # The law holds at the contact points. Some of them have the mean jump of several corners.
-        of_points = np.einsum("pi,pki->pk", trial.jump + contact.gap, local.normals)
-        is_local_face = np.arange(3)[None, :] < local.faces[:, None]
-        self.penetration = contact.gather(np.where(is_local_face, np.maximum(-of_points, 0.0), 0.0))
+        self.penetration = contact.gather(overlap_of_faces(trial))
         self.of_points = points.interface
         # The second side of the case may be the slave or the master.
         contacts = problem.scene.contacts
@@ -171,17 +193,12 @@ class ContactSamples:
         self.pressure = normal_pressure(self._pressures, surface.normals)
         self.shear = at_corners(np.linalg.norm(friction, axis=1))
         self.force = surface.spread_forces(contact.gather(-sign * state.force))
-        resting = contact.law.frictional & (
-            state.step_slip <= AT_REST * contact.gather(state.path).max(initial=0.0)
-        )
-        is_held = (local.faces == 0) | (resting & (trial.law.status == SLIP))
-        status = contact.gather(np.where(is_held, STICK, trial.law.status))
+        status = contact.gather(status_at_rest(trial).astype(float))
         self.status = surface.spread_status(status.astype(np.int64))
-        self.dissipation, self.smallest_dissipation = (
-            distributed(state.dissipation),
-            distributed(state.smallest_dissipation),
-        )
-        self.contact_work, self.stored = distributed(state.contact_work), distributed(state.stored)
+        self.dissipation = distributed(state.dissipation)
+        self.smallest_dissipation = distributed(state.smallest_dissipation)
+        self.contact_work = distributed(state.contact_work)
+        self.stored = distributed(state.stored)
         self.internal_variables = {
             name: at_corners(values) for name, values in state.internal_variables.items()
         }
@@ -194,12 +211,10 @@ class ContactSamples:
             "shear": self.shear,
         }
         if any(c.press_fit for c in contacts):
-            since_insertion = surface.true_jumps(contact.gather(trial.jump - state.inserted))
-            self.micromotion = signs[surface.interface][:, None] * since_insertion
+            self.micromotion = signs[surface.interface][:, None] * motion_since(state.inserted)
             self.sizes["micromotion"] = np.linalg.norm(self.micromotion, axis=1)
         if since is not None:
-            step_motion = surface.true_jumps(contact.gather(trial.jump - since))
-            self.sizes["inducible"] = np.linalg.norm(step_motion, axis=1)
+            self.sizes["inducible"] = np.linalg.norm(motion_since(since), axis=1)
         self._contact, self._jump, self.contacts = contact, trial.jump, contacts
         # If a normal is wrong by an angle, slip times this angle is an overlap with pressure.
         pressed = np.linalg.norm(state.slip, axis=1) * points.normal_error[local.rows]

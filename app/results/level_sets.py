@@ -50,7 +50,7 @@ class RegionCells:
 
     def volume(self, dof: Ints, level: Floats) -> float:
         """Return the volume with a level (n,), at owned nodes, of at least 0 [mm3]; collective."""
-        volume_fraction = positive_share(self._at_corners(dof, level, -1.0))
+        volume_fraction = positive_fraction(self._at_corners(dof, level, -1.0))
         return float(self._comm.allreduce(float(self._volume @ volume_fraction), MPI.SUM))
 
     def depth(self, dof: Ints, level: Floats, surface: Floats) -> float:
@@ -71,7 +71,7 @@ class RegionCells:
         return float(self._comm.allreduce(depth, MPI.MAX))
 
 
-def positive_share(f: Floats) -> Floats:
+def positive_fraction(f: Floats) -> Floats:
     """Return the fraction (m,) of tetrahedra in which a linear f (m, 4) is not negative.
 
     A plane that separates one corner from three cuts off a tetrahedron: its fraction is the product

@@ -5,7 +5,8 @@ A reduction has one number for each owned node of a region. It is updated at eve
 
 Between steps values follow parabolas. A maximum between two steps is the vertex of a parabola
 through one of them and its neighbours (`peak_between`). An integral over a step uses a parabola
-through the ends of the step and the step before (`bend`), divided into straight pieces.
+through the ends of the step and the step before, divided into straight pieces. The depth of this
+parabola below its chord is its `sagitta`.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class Maximum:
         self.value = value.copy()
         self.time = np.full(len(value), seconds)
 
-    def take(self, value: Floats, seconds: Floats | float) -> None:
+    def update(self, value: Floats, seconds: Floats | float) -> None:
         """Update with values (n,) at one time [s], or at a time for each node (n,) [s]."""
         higher = value > self.value
         self.value[higher] = value[higher]
@@ -60,10 +61,12 @@ class Integrals:
         for name, measure in self._measures.items():
             self.totals[name] += measure(start, end, seconds)
 
-    def add_bent(self, start: Floats, end: Floats, bends: Floats, step: float, pieces: int) -> None:
-        """Add a step as straight pieces of a parabola with depth ``bends`` (n,) below its chord."""
+    def add_parabola(
+        self, start: Floats, end: Floats, sagittas: Floats, step: float, pieces: int
+    ) -> None:
+        """Add a step as straight pieces of parabolas with ``sagittas`` (n,)."""
         curve = [
-            start + s * (end - start) - 4 * s * (1 - s) * bends
+            start + s * (end - start) - 4 * s * (1 - s) * sagittas
             for s in np.linspace(0.0, 1.0, pieces + 1)
         ]
         for piece_start, piece_end in pairwise(curve):
@@ -148,8 +151,8 @@ def peak_between(s0: State, s1: State, s2: State, s3: State) -> tuple[Floats, Fl
     return np.where(inside, value, -np.inf), np.where(inside, when, t1)
 
 
-def bend(previous: State, start: State, end: State) -> Floats:
-    """Return the depth (n,) of a parabola below its chord in the middle of the last step.
+def sagitta(previous: State, start: State, end: State) -> Floats:
+    """Return the sagitta (n,): the depth of a parabola below its chord in the middle of a step.
 
     The parabola passes through the ends of the step and the state before. Its depth is limited so
     that its values stay between the values at the ends.
@@ -159,16 +162,16 @@ def bend(previous: State, start: State, end: State) -> Floats:
         return np.zeros_like(c)
     h = t2 - t1
     curvature = ((c - b) / h - (b - a) / (t1 - t0)) / (t2 - t0)
-    return limited(curvature * h**2 / 4, b, c)
+    return limited_sagitta(curvature * h**2 / 4, b, c)
 
 
-def bend_after_kink(rate: Floats, start: State, end: State) -> Floats:
-    """Return the depth as `bend`, but from the rate of change (n,) at the end of the step."""
+def sagitta_after_kink(rate: Floats, start: State, end: State) -> Floats:
+    """Return the sagitta (n,) from the rate of change (n,) at the end of the step."""
     (t1, b), (t2, c) = start, end
-    return limited((rate * (t2 - t1) - (c - b)) / 4, b, c)
+    return limited_sagitta((rate * (t2 - t1) - (c - b)) / 4, b, c)
 
 
-def limited(bends: Floats, start: Floats, end: Floats) -> Floats:
-    """Limit depths (n,) so that parabolas stay between the values at their ends (n,)."""
-    largest_bend = np.abs(end - start) / 4
-    return np.asarray(np.clip(bends, -largest_bend, largest_bend))
+def limited_sagitta(sagittas: Floats, start: Floats, end: Floats) -> Floats:
+    """Limit sagittas (n,) so that parabolas stay between the values at their ends (n,)."""
+    largest_sagitta = np.abs(end - start) / 4
+    return np.asarray(np.clip(sagittas, -largest_sagitta, largest_sagitta))

@@ -29,7 +29,7 @@ Borders = Callable[[Floats], dict[str, Floats]]
 
 
 @dataclass(frozen=True)
-class Followed:
+class RecordedModel:
     """Mechanics and heat of a run that a record follows.
 
     Attributes:
@@ -118,7 +118,7 @@ class Record:
 
 
 # Function that makes the record of a run, or None if the case does not need it; collective.
-Maker = Callable[[Case, Followed], Record | None]
+Maker = Callable[[Case, RecordedModel], Record | None]
 # Makers by name, in the order in which records are called.
 MAKERS: dict[str, Maker] = {}
 
@@ -134,7 +134,7 @@ def add_record(name: str, make: Maker) -> None:
     MAKERS[name] = make
 
 
-def records(case: Case, followed: Followed) -> dict[str, Record]:
+def records(case: Case, followed: RecordedModel) -> dict[str, Record]:
     """Return the records of a run by name; collective."""
     made_records = {name: make(case, followed) for name, make in MAKERS.items()}
     return {name: record for name, record in made_records.items() if record is not None}

@@ -34,7 +34,7 @@ class Stresses:
     Attributes:
         cells: Owned cells of each region.
         points: Quadrature points of each region in the reference cell (points, 3).
-        shares: Fraction of the volume of a cell at each of these points (points,).
+        volume_fractions: Fraction of the volume of a cell at each of these points (points,).
 
     Args:
         around_z: True if the z axis is the axis of a stem, so that hoop stress is defined.
@@ -68,7 +68,9 @@ class Stresses:
             for elastic_region in elastic
         }
         self.points: dict[str, Floats] = dict.fromkeys(self.cells, self._points)
-        self.shares: dict[str, Floats] = dict.fromkeys(self.cells, weights / weights.sum())
+        self.volume_fractions: dict[str, Floats] = dict.fromkeys(
+            self.cells, weights / weights.sum()
+        )
         # Stress of path-dependent regions is known at the points of their stress history.
         self._stress_histories = {
             r: problem.stress_history
@@ -77,7 +79,7 @@ class Stresses:
         }
         for region, stress_history in self._stress_histories.items() if not fine else ():
             self.points[region] = stress_history.points
-            self.shares[region] = stress_history.weights / stress_history.weights.sum()
+            self.volume_fractions[region] = stress_history.weights / stress_history.weights.sum()
         # Varying stiffness at the points, relative to its largest value.
         self._relative: dict[str, Floats] = {}
         self.follow_density(all_regions=True)
@@ -91,7 +93,7 @@ class Stresses:
                 elastic_region.eigenstrains or elastic_region.region in body_forms.free_strain
             ):
                 displacement = problem.displacements()[
-                    problem.bodies.of_region[elastic_region.region]
+                    problem.bodies.body_of_region[elastic_region.region]
                 ]
                 elastic_strain = body_forms.elastic_strain(elastic_region, displacement)
                 self._with_free_strain[elastic_region.region] = self._expression(elastic_strain)
@@ -114,7 +116,7 @@ class Stresses:
         problem, cells = self._problem, self.cells[region]
         expression = self._with_free_strain.get(region)
         if expression is None:
-            displacement = problem.displacements()[problem.bodies.of_region[region]]
+            displacement = problem.displacements()[problem.bodies.body_of_region[region]]
             expression, self._moved.x.array[:] = self._strain, displacement.x.array
         if not len(cells):
             return np.zeros((0, len(self._points), 3, 3))
@@ -144,7 +146,7 @@ class Stresses:
             else None
         )
         if rotating_fibre:  # in axes that rotate with the fibre
-            Q = rotating_fibre.frames(self.places(region)[0]).reshape(ε.shape)
+            Q = rotating_fibre.frames(self.points_and_volumes(region)[0]).reshape(ε.shape)
             ε = Q.swapaxes(2, 3) @ ε @ Q
         σ = (ε.reshape(-1, 9) @ _moduli(elastic_region)).reshape(ε.shape)
         if rotating_fibre:
@@ -158,25 +160,27 @@ class Stresses:
             for elastic_region in self._problem.scene.elastic
         }
         return {
-            region: modulus_of_region[region] * (relative * self.shares[region]).sum(1)
+            region: modulus_of_region[region] * (relative * self.volume_fractions[region]).sum(1)
             for region, relative in self._relative.items()
         }
 
     def mean(self, region: str) -> Floats:
         """Return the mean stress of a region's owned cells (cells, 3, 3) [MPa]."""
-        return np.einsum("q,cqij->cij", self.shares[region], self.evaluate(region))
+        return np.einsum("q,cqij->cij", self.volume_fractions[region], self.evaluate(region))
 
-    def places(self, region: str) -> tuple[Floats, Floats]:
+    def points_and_volumes(self, region: str) -> tuple[Floats, Floats]:
         """Positions (cells * points, 3) [mm] and volumes (cells, points) [mm3] of the points."""
         if region not in self._places:  # cached, because all states and variations share them
             body_forms = self._problem.body_forms
-            x, volumes = body_forms.places(region, self.points[region], self.shares[region])
+            x, volumes = body_forms.points_and_volumes(
+                region, self.points[region], self.volume_fractions[region]
+            )
             self._places[region] = x.reshape(-1, 3), volumes
         return self._places[region]
 
     def hoop_strain(self, region: str) -> Floats:
         """Return the elastic hoop strain about the z axis (cells, points) [-]."""
-        ε, (x, _) = self._elastic_strain(region), self.places(region)
+        ε, (x, _) = self._elastic_strain(region), self.points_and_volumes(region)
         return _hoop(ε.reshape(-1, 3, 3), x).reshape(ε.shape[:2])
 
     def energy_density(self, region: str) -> Floats:
@@ -187,7 +191,7 @@ class Stresses:
     def region(self, region: str) -> Numbers:
         """Published numbers on stress of a region, of a stem without its neck; collective."""
         σ = self.evaluate(region).reshape(-1, 3, 3)
-        x, volumes = self.places(region)
+        x, volumes = self.points_and_volumes(region)
         mean = np.trace(σ, axis1=1, axis2=2) / 3
         eigen = np.linalg.eigvalsh(σ)
         cement = next(

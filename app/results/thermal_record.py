@@ -28,11 +28,11 @@ from app.results.over_time import (
     Integrals,
     Maximum,
     State,
-    bend,
-    bend_after_kink,
     largest,
     maxima,
     peak_between,
+    sagitta,
+    sagitta_after_kink,
 )
 from forms import interface_heat
 from meshes.distribute import TaggedMesh
@@ -87,18 +87,18 @@ class RegionTemperatures:
         return self.before[-1][1]
 
     @property
-    def warm(self) -> Bools:
+    def counts_for_doses(self) -> Bools:
         """Return the mask of nodes (n,) that are warm enough for doses at an end of this step."""
         return np.maximum(self.begin, self.now) > CELSIUS + COUNTS_FROM
 
-    def take(self, start_time: float, temperatures: Sequence[fem.Function]) -> None:
+    def record(self, start_time: float, temperatures: Sequence[fem.Function]) -> None:
         """Record the temperatures at the end of a step that began at ``start_time`` [s]."""
         self.before = [*self.before[-2:], (start_time, self.now)]
         self.now = self.nodes.values(temperatures)
         self.lowest = np.minimum(self.lowest, self.now)
 
-    def bend(self, seconds: float, rates: Sequence[Floats]) -> Floats:
-        """Deviation of temperature from a straight line in the middle of a step (n,) [K].
+    def sagitta(self, seconds: float, rates: Sequence[Floats]) -> Floats:
+        """Deviation of temperature below a straight line in the middle of a step (n,) [K].
 
         Args:
             seconds: Time at the end of the step [s].
@@ -107,16 +107,16 @@ class RegionTemperatures:
         previous = self.before[-1]
         current = (seconds, self.now)
         if rates:
-            return bend_after_kink(rates[self.nodes.body][self.nodes.dof], previous, current)
-        return bend(self.before[max(len(self.before) - 2, 0)], previous, current)
+            return sagitta_after_kink(rates[self.nodes.body][self.nodes.dof], previous, current)
+        return sagitta(self.before[max(len(self.before) - 2, 0)], previous, current)
 
     def raise_peak(self, seconds: float, highest: float) -> None:
         """Raise the peaks to the temperatures at a time and just before, at most to ``highest``."""
-        self.peak.take(self.now, seconds)
+        self.peak.update(self.now, seconds)
         states = [*self.before, (seconds, self.now)]
         if len(states) == 4 and all(a[0] < b[0] for a, b in pairwise(states)):
             peak, time = peak_between(*states)
-            self.peak.take(np.minimum(peak, highest), time)
+            self.peak.update(np.minimum(peak, highest), time)
 
     # The summary
 
@@ -145,7 +145,7 @@ class RegionTemperatures:
         keys = [f"seconds_over_{level:g}" for level in LEVELS]
         return maxima(comm, {key: self.doses.totals[key] for key in keys})
 
-    def dead(self, comm: MPI.Comm, cells: RegionCells, surface: Floats) -> dict[str, float]:
+    def necrosis(self, comm: MPI.Comm, cells: RegionCells, surface: Floats) -> dict[str, float]:
         """Return the largest thermal doses, and dead volume and depth by criterion; collective.
 
         The depth is the distance from triangles of a surface (f, 3, 3) [mm].
@@ -182,7 +182,7 @@ class ThermalRecord:
         regions: Temperatures and doses of each region.
 
     Args:
-        of_region: Thermal body of each region.
+        body_of_region: Thermal body of each region.
         interfaces: Regions on the first and second side of each interface, in the order of the
             case.
         faces: Nodes of both boundaries, for interfaces between separately meshed bodies.
@@ -197,7 +197,7 @@ class ThermalRecord:
         self,
         tagged: TaggedMesh,
         forms: HeatForms,
-        of_region: Mapping[str, int],
+        body_of_region: Mapping[str, int],
         interfaces: Interfaces,
         bone: Sequence[str],
         probes: Mapping[str, ProbePoint],
@@ -205,7 +205,7 @@ class ThermalRecord:
     ) -> None:
         self._comm = forms.comm
         self._forms = forms
-        self._nodes = region_nodes(forms, tuple(tagged.regions), of_region)
+        self._nodes = region_nodes(forms, tuple(tagged.regions), body_of_region)
         self._interfaces = {
             n: InterfaceNodes(self._nodes, s, (faces or {}).get(n)) for n, s in interfaces.items()
         }
@@ -215,7 +215,7 @@ class ThermalRecord:
             first_is_bone, second_is_bone = (not set(bone).isdisjoint(side) for side in regions)
             if first_is_bone != second_is_bone:
                 self._bone_sides.append(self._interfaces[name].sides[0 if first_is_bone else 1])
-        self._probes = Probes(tagged, forms.space, of_region, probes)
+        self._probes = Probes(tagged, forms.space, body_of_region, probes)
         # Largest numbers of each interface so far, over all ranks.
         self.extremes: dict[str, dict[str, float]] = {name: {} for name in interfaces}
         self.regions: dict[str, RegionTemperatures] = {}
@@ -250,10 +250,12 @@ class ThermalRecord:
         """
         step = seconds - self.seconds
         for r in self.regions.values():
-            r.take(self.seconds, temperatures)
+            r.record(self.seconds, temperatures)
         if step > 0:
             self._expose(seconds, rates)
-        elif self._comm.allreduce(any(r.warm.any() for r in self.regions.values()), MPI.LOR):
+        elif self._comm.allreduce(
+            any(r.counts_for_doses.any() for r in self.regions.values()), MPI.LOR
+        ):
             for r in self.regions.values():
                 r.doses.forget()
         for r in self.regions.values():
@@ -265,12 +267,17 @@ class ThermalRecord:
 
     def _expose(self, seconds: float, rates: Sequence[Floats]) -> None:
         """Add the doses of a step, divided into straight pieces according to its curvature."""
-        bends = {name: r.bend(seconds, rates) for name, r in self.regions.items()}
-        largest_bends = (np.abs(b[self.regions[n].warm]).max(initial=0.0) for n, b in bends.items())
-        largest_bend = self._comm.allreduce(max(map(float, largest_bends)), MPI.MAX)
-        piece_count = int(np.clip(np.ceil(np.sqrt(largest_bend / _STRAIGHT)), 1, _MOST_PIECES))
+        sagittas = {name: r.sagitta(seconds, rates) for name, r in self.regions.items()}
+        largest_sagittas = (
+            np.abs(b[self.regions[n].counts_for_doses]).max(initial=0.0)
+            for n, b in sagittas.items()
+        )
+        largest_sagitta = self._comm.allreduce(max(map(float, largest_sagittas)), MPI.MAX)
+        piece_count = int(np.clip(np.ceil(np.sqrt(largest_sagitta / _STRAIGHT)), 1, _MOST_PIECES))
         for name, r in self.regions.items():
-            r.doses.add_bent(r.begin, r.now, bends[name], seconds - self.seconds, piece_count)
+            r.doses.add_parabola(
+                r.begin, r.now, sagittas[name], seconds - self.seconds, piece_count
+            )
 
     def _update_maxima(self, interface: str, numbers: Mapping[str, float]) -> None:
         """Raise the extremes of an interface to larger numbers."""
@@ -342,7 +349,7 @@ class ThermalRecord:
         for name, r in self.regions.items():
             regions[name] |= r.times(comm)
         for name in self.bone:
-            regions[name] |= self.regions[name].dead(comm, cells[name], surface)
+            regions[name] |= self.regions[name].necrosis(comm, cells[name], surface)
         return thermal_numbers
 
     def _interface(self, name: str) -> Numbers:
@@ -432,7 +439,7 @@ class CureRecord:
                     step * rate[newly_reached],
                 )
                 r.reached[key][newly_reached] = self.seconds + step * fraction
-            r.fastest.take(rate, seconds)
+            r.fastest.update(rate, seconds)
             r.degree = degree.copy()
             r.rate = rate.copy()
         self.seconds = seconds

@@ -110,9 +110,9 @@ def of_numbers(summary: Summary) -> list[Verdict]:
     verdicts += [_by_facets(name, q) for name, q in interfaces.items() if "pressure_by_facets" in q]
     verdicts += [_steep(name, q) for name, q in interfaces.items() if _is_steep(q)]
     verdicts += [_crack(name, q) for name, q in interfaces.items() if "zone_length" in q]
-    far_moved = too_far(summary)
-    if far_moved:
-        message = f"larger than a facet on {' and '.join(far_moved)}: small sliding does not hold"
+    slipping = large_slip(summary)
+    if slipping:
+        message = f"larger than a facet on {' and '.join(slipping)}: small sliding does not hold"
         verdicts.append(Verdict(message, "slip", "use `sliding: finite`"))
     for of_package in _JUDGES:
         verdicts += of_package(summary)
@@ -136,7 +136,7 @@ def unbalanced(summary: Summary) -> list[str]:
     return [name for name, limit in BALANCES.items() if name in b and not b[name] < limit]
 
 
-def too_far(summary: Summary) -> list[str]:
+def large_slip(summary: Summary) -> list[str]:
     """Return the interfaces on which bodies slip by more than the width of their facets."""
     return [
         name

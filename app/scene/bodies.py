@@ -45,13 +45,13 @@ class Bodies:
 
     Attributes:
         names: Name of each body: its regions joined by " + ".
-        of_region: Body of each region name.
-        of_tag: Body of each cell tag (length: largest tag + 1), -1 where there is no region.
+        body_of_region: Body of each region name.
+        body_of_tag: Body of each cell tag (length: largest tag + 1), -1 where there is no region.
     """
 
     names: tuple[str, ...]
-    of_region: dict[str, int]
-    of_tag: Ints
+    body_of_region: dict[str, int]
+    body_of_tag: Ints
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,7 @@ def facets_by_body(
     Every rank has all bodies at the boundary, also bodies without facets of this rank.
     """
     f = boundary_facets(tagged, boundary)
-    body = bodies.of_tag[cell_tags(tagged)[f.cells]]
+    body = bodies.body_of_tag[cell_tags(tagged)[f.cells]]
     local_bodies = {int(b) for b in np.unique(body)}
     all_bodies = set().union(*tagged.mesh.comm.allgather(local_bodies))
     return {b: f.facets[body == b].astype(np.int32) for b in sorted(all_bodies)}
@@ -232,7 +232,7 @@ def contact_facets(
         InputError: An interface has no facets on this mesh.
     """
     tags, comm = cell_tags(tagged), tagged.mesh.comm
-    stiffness = np.zeros(len(bodies.of_tag))
+    stiffness = np.zeros(len(bodies.body_of_tag))
     for region, modulus in moduli.items():
         stiffness[tagged.regions[region]] = modulus
     columns_of_interfaces = []
@@ -253,7 +253,7 @@ def contact_facets(
             (
                 np.full(len(vertices), index),
                 vertices,
-                bodies.of_tag[side_tags],
+                bodies.body_of_tag[side_tags],
                 dofs,
                 x,
                 cell_centres,

@@ -100,7 +100,7 @@ def vertex_constraints(
         corners = facet_nodes(tagged, space, f)[0].ravel()
         is_at_interface = np.isin(corners, interface_vertices)
         vertex_columns.append(corners[is_at_interface])
-        body_columns.append(np.repeat(bodies.of_tag[tags[f.cells]], 3)[is_at_interface])
+        body_columns.append(np.repeat(bodies.body_of_tag[tags[f.cells]], 3)[is_at_interface])
         support_columns.append(np.full(np.count_nonzero(is_at_interface), index))
     vertex, body, support_index = gather(
         tagged.mesh.comm,
@@ -211,7 +211,7 @@ def _boundary_nodes(
     f = boundary_facets(tagged, boundary)
     nodes = NODES if order > 1 else NODES[:3]
     _, dofs, x, cell_centres = facet_nodes(tagged, space, f)
-    body = np.broadcast_to(bodies.of_tag[tags[f.cells]][:, None], dofs.shape)
+    body = np.broadcast_to(bodies.body_of_tag[tags[f.cells]][:, None], dofs.shape)
     positions = np.einsum("qn,fni->fqi", shape_functions(nodes, x.shape[1]), x)
     normals = nodal_normals(x, cell_centres, nodes)
     return _BoundaryNodes(

@@ -25,7 +25,7 @@ COARSER = 2.0
 NEGLIGIBLE = 0.1
 
 
-def measured(case: Case, model: Model) -> BoneInfluence | None:
+def estimate(case: Case, model: Model) -> BoneInfluence | None:
     """Return the changes of main numbers by other bone where none was measured; collective.
 
     The result is None if all bone was measured, a companion is not solved, or the run has no main

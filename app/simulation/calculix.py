@@ -121,7 +121,9 @@ class _Deck:
 
     def _keys(self, dofs: Ints, tags: Ints) -> Ints:
         """One number for each pair of node and body; dofs (n, k) in cells with tags (n,)."""
-        return dofs.astype(np.int64) * len(self.bodies.names) + self.bodies.of_tag[tags][:, None]
+        return (
+            dofs.astype(np.int64) * len(self.bodies.names) + self.bodies.body_of_tag[tags][:, None]
+        )
 
     def lines(self) -> Iterator[str]:
         """Lines of the deck."""

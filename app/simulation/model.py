@@ -27,7 +27,7 @@ from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
 from app.results.gauges import ProbedMechanics
 from app.results.hip import StemMotion, by_zone, of_collar, of_femur
 from app.results.interface_numbers import ContactSamples
-from app.results.records import Followed, Record, records
+from app.results.records import Record, RecordedModel, records
 from app.results.stresses import Stresses
 from app.results.surface_parts import Surface, in_parts
 from app.scene.scene import Scene, Stage, build_scene
@@ -172,7 +172,8 @@ class Model:
                 self.probes = ProbedMechanics(case, mechanics.problem)
                 heat = heating.step if heating else None
                 self.records = records(
-                    case, Followed(mechanics.problem, mechanics.stresses, mechanics.zones, heat)
+                    case,
+                    RecordedModel(mechanics.problem, mechanics.stresses, mechanics.zones, heat),
                 )
             self.thermal: ThermalModel | None = None
             if self.analysis.heating:
@@ -256,7 +257,7 @@ class Model:
             field_groups.append(HeatFields(t.heating, t.record, self.case.geometry.interface_sides))
         return field_groups
 
-    def go(
+    def run(
         self,
         on_step: OnStep = _nothing,
         on_heat: OnHeat = _nothing,
@@ -377,12 +378,14 @@ class Model:
             merge(numbers, record.numbers())
         return numbers
 
-    def left_free(self) -> list[Verdict]:
+    def floating_bodies(self) -> list[Verdict]:
         """Warnings on bodies that nothing holds in the last state; collective."""
         path = self.mechanical_path
         if path is None or path.problem.contact is None:
             return []
-        return loose_bodies.left_free(path.problem, path.problem.trial(*path.solver.u_and_q()))
+        return loose_bodies.floating_bodies(
+            path.problem, path.problem.trial(*path.solver.u_and_q())
+        )
 
     def _add_places(self, numbers: Summary, samples: ContactSamples | None) -> None:
         """Add numbers that some geometries have: mantle, layers, Gruen zones; collective."""
@@ -409,7 +412,7 @@ class Model:
             nonlocal last_trial
             last_trial = trial
 
-        other_model.go(keep, on_trouble=lambda message: log.debug("     %s", message))
+        other_model.run(keep, on_trouble=lambda message: log.debug("     %s", message))
         samples = (
             ContactSamples(mechanics.problem, last_trial, None, mechanics.surfaces)
             if mechanics and last_trial

@@ -303,7 +303,7 @@ class _CaseRun:
         """
         setup, case, model = self._setup, self._case, self._model
         with self._last_state_kept():
-            total = model.go(
+            total = model.run(
                 self._recorder.step,
                 self._recorder.heat,
                 lambda s: log.info("     %s", s),
@@ -316,7 +316,7 @@ class _CaseRun:
         with setup.timing.phase("output"):
             self._recorder.flush()
             summary = self._recorder.summary("converged", total)
-        notes = [*self._notes, *doubts.doubts(case, summary), *model.left_free()]
+        notes = [*self._notes, *doubts.doubts(case, summary), *model.floating_bodies()]
         verdicts.record(summary, notes)
         if verdicts.reasons_not_to_use(summary):
             summary["status"] = UNUSABLE
@@ -336,7 +336,7 @@ class _CaseRun:
             verdicts.record(summary, notes)
         if case.geometry.other_bones:
             with setup.timing.phase("error"), self._last_state_kept():
-                influence = bone_influence.measured(case, model)
+                influence = bone_influence.estimate(case, model)
             if influence:
                 summary["assumed_bone"] = influence
                 verdicts.record(summary, notes)

@@ -37,7 +37,7 @@ class ThermalModel:
         self.record = ThermalRecord(
             tagged,
             operators.forms,
-            operators.bodies.of_region,
+            operators.bodies.body_of_region,
             case.geometry.interface_sides,
             case.of_tissue("bone"),
             {n: (p.at, p.region) for n, p in case.output.probes.items() if isinstance(p, Probe)},

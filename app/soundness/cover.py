@@ -37,10 +37,11 @@ class Cover:
         scene, bodies = problem.scene, problem.bodies
         sliding_sides = [side for c in scene.contacts if c.between for side in (c.master, c.slave)]
         free_bodies = {
-            bodies.of_region[side[0]] for side in sliding_sides if not scene.motion_of(side)
+            bodies.body_of_region[side[0]] for side in sliding_sides if not scene.motion_of(side)
         }
         cells = {
-            body: bodies.of_tag[cell_tags(problem.tagged)] == body for body in sorted(free_bodies)
+            body: bodies.body_of_tag[cell_tags(problem.tagged)] == body
+            for body in sorted(free_bodies)
         }
         nodes = {body: touched_nodes(problem.space, marked) for body, marked in cells.items()}
         self._rotations = {
@@ -106,7 +107,7 @@ class Cover:
         sliding = contact.finite_sliding if contact else None
         if contact is None or sliding is None:
             return
-        positions = sliding.places(contact.local.x * 0.0 + jump)
+        positions = sliding.positions_on_masters(contact.local.x * 0.0 + jump)
         for i, (master, _) in sliding.followers.sides.items():
             surface = master.smooth
             edge_length = contact.edge_lengths[i]

@@ -255,7 +255,7 @@ def runaway(problem: Problem, trial: TrialState) -> Verdict | None:
     return None
 
 
-def left_free(problem: Problem, trial: TrialState) -> list[Verdict]:
+def floating_bodies(problem: Problem, trial: TrialState) -> list[Verdict]:
     """Warnings on bodies that nothing holds within their gaps in a converged state; collective.
 
     No load acts on such a body along its free motion, so any place in the gaps is an equilibrium.
@@ -425,4 +425,4 @@ def supported(problem: Problem) -> dict[int, Floats]:
 
 def turning(problem: Problem) -> list[int]:
     """Bodies with a prescribed motion."""
-    return [problem.bodies.of_region[m.region] for m in problem.scene.motions]
+    return [problem.bodies.body_of_region[m.region] for m in problem.scene.motions]

@@ -252,49 +252,9 @@ def warnings(case: Case) -> list[Verdict]:
     ]
     if not (case.conducts or case.loads or any(acts)):
         notes.append(note("nothing acts on the model: the result will be zero"))
-    for name, region in case.regions.items():
-        if case.mesh.order == 1 and region.nearly_incompressible:
-            message = (
-                f"regions.{name} is nearly incompressible: linear tetrahedra lock (they are far "
-                "too stiff)"
-            )
-            notes.append(note(message, cure="use mesh.order: 2"))
-    for name, region in case.regions.items():
-        place, thermal = f"regions.{name}", region.thermal
-        limits_of_material = next(
-            limits for region_word, limits in STIFFNESS.items() if region_word in name
-        )
-        notes += _far_off(place, region, dict.fromkeys(MODULI, limits_of_material))
-        notes += _far_off(f"{place}.thermal", thermal, USUAL)
-        setting = None if thermal is None else thermal.cure
-        notes += _far_off(f"{place}.thermal.cure", setting, {"heat": (1.0, 1e4)})
-    expands = any(r.thermal and r.thermal.thermal_expansion for r in case.regions.values())
-    for name, law in case.interfaces.items():
-        feeds = law.conducts_by_pressure and name not in case.faces
-        if expands and feeds:
-            message = (
-                "thermal expansion and a conductance that grows with pressure reinforce each "
-                "other: several steady states may exist, some of them unstable"
-            )
-            remedy = "vary the initial temperatures, which select one of them"
-            notes.append(note(message, f"interfaces.{name}", remedy))
-    loads = [(load.resultant or (0.0,), load.history or (1.0,)) for load in case.loads.values()]
-    force = max((math.hypot(*f) * max(map(abs, h)) for f, h in loads), default=0.0)
-    if case.geometry.has_gruen_zones and force:
-        if not HIP_FORCES[0] <= force <= HIP_FORCES[1]:
-            message = f"the largest load on the hip is {force:.3g} N; is the unit wrong?"
-            notes.append(note(message))
-    tables = [name for name, load in case.loads.items() if load.cycle is not None]
-    if tables and sum(not stage.takes_time for stage in case.stages) == 1:
-        message = "the cycle begins in the first stage, so that all loads act in the first step"
-        remedy = "put a stage before it in which the loads grow: stages: [{name: rise}, ...]"
-        notes.append(note(message, f"loads.{tables[0]}.cycle_table", remedy))
-    for name, motion in case.motions.items():
-        columns = motion.cycle.columns if motion.cycle else {}
-        largest = max((abs(a) for r in ROTATIONS for a in columns.get(r, ())), default=0.0)
-        if 0.0 < largest < math.radians(0.5):
-            message = "all angles are below 0.5 degrees; are they in radians?"
-            notes.append(note(message, f"motions.{name}.rotation.cycle_table"))
+    notes += _doubtful_materials(case)
+    notes += _several_steady_states(case)
+    notes += _doubtful_loads(case)
     for name, region in case.regions.items():
         notes += from_memory(f"regions.{name}", region.source)
     notes += _without_effect(case)
@@ -306,6 +266,60 @@ def warnings(case: Case) -> list[Verdict]:
     for warn in _WARNERS:
         notes += warn(case)
     return notes
+
+
+def _doubtful_materials(case: Case) -> Iterable[Verdict]:
+    """Notes on regions whose elements lock, and on unusual constants of materials."""
+    for name, region in case.regions.items():
+        if case.mesh.order == 1 and region.nearly_incompressible:
+            message = (
+                f"regions.{name} is nearly incompressible: linear tetrahedra lock (they are far "
+                "too stiff)"
+            )
+            yield note(message, cure="use mesh.order: 2")
+    for name, region in case.regions.items():
+        place, thermal = f"regions.{name}", region.thermal
+        limits_of_material = next(
+            limits for region_word, limits in STIFFNESS.items() if region_word in name
+        )
+        yield from _far_off(place, region, dict.fromkeys(MODULI, limits_of_material))
+        yield from _far_off(f"{place}.thermal", thermal, USUAL)
+        setting = None if thermal is None else thermal.cure
+        yield from _far_off(f"{place}.thermal.cure", setting, {"heat": (1.0, 1e4)})
+
+
+def _several_steady_states(case: Case) -> Iterable[Verdict]:
+    """Notes on interfaces whose conductance and thermal expansion reinforce each other."""
+    if not any(r.thermal and r.thermal.thermal_expansion for r in case.regions.values()):
+        return
+    for name, law in case.interfaces.items():
+        if law.conducts_by_pressure and name not in case.faces:
+            message = (
+                "thermal expansion and a conductance that grows with pressure reinforce each "
+                "other: several steady states may exist, some of them unstable"
+            )
+            remedy = "vary the initial temperatures, which select one of them"
+            yield note(message, f"interfaces.{name}", remedy)
+
+
+def _doubtful_loads(case: Case) -> Iterable[Verdict]:
+    """Notes on the size of hip loads, on cycles without a rise, and on units of angles."""
+    loads = [(load.resultant or (0.0,), load.history or (1.0,)) for load in case.loads.values()]
+    force = max((math.hypot(*f) * max(map(abs, h)) for f, h in loads), default=0.0)
+    if case.geometry.has_gruen_zones and force:
+        if not HIP_FORCES[0] <= force <= HIP_FORCES[1]:
+            yield note(f"the largest load on the hip is {force:.3g} N; is the unit wrong?")
+    tables = [name for name, load in case.loads.items() if load.cycle is not None]
+    if tables and sum(not stage.takes_time for stage in case.stages) == 1:
+        message = "the cycle begins in the first stage, so that all loads act in the first step"
+        remedy = "put a stage before it in which the loads grow: stages: [{name: rise}, ...]"
+        yield note(message, f"loads.{tables[0]}.cycle_table", remedy)
+    for name, motion in case.motions.items():
+        columns = motion.cycle.columns if motion.cycle else {}
+        largest = max((abs(a) for r in ROTATIONS for a in columns.get(r, ())), default=0.0)
+        if 0.0 < largest < math.radians(0.5):
+            message = "all angles are below 0.5 degrees; are they in radians?"
+            yield note(message, f"motions.{name}.rotation.cycle_table")
 
 
 def _without_effect(case: Case) -> Iterable[Verdict]:

@@ -218,7 +218,7 @@ def _friction_heat_matrices(
     owned = (dof >= start) & (dof < end)
     slave_shares = {f.name: f.slave_share for f in scene.friction_heat}
     β = np.array([slave_shares.get(c.name, 0.0) for c in scene.contacts])[points.interface]
-    body_of = operators.bodies.of_region
+    body_of = operators.bodies.body_of_region
     master = np.array([body_of[c.master[0]] for c in scene.contacts])
     slave = np.array([body_of[c.slave[0]] for c in scene.contacts])
     sides = list(zip((master, slave), interface_heat.friction_heat(1.0, β), strict=True))

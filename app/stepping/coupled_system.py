@@ -164,7 +164,7 @@ class CoupledSystem(ContactSystem):
         """Minus the thermal forces by temperatures and their jumps, in rows of the mechanics."""
         operators = self._heat.operators
         by_body = operators.jumps.moves if operators.jumps else {}
-        body_of_region = operators.bodies.of_region
+        body_of_region = operators.bodies.body_of_region
         moves = {r: by_body[b] for r, b in body_of_region.items() if b in by_body}
         problem = self._problem
         sizes = [v.getSizes() for v in self.blocks().values()]

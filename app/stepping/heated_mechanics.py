@@ -16,7 +16,7 @@ import numpy as np
 from dolfinx import fem
 
 from app.foundation.arrays import Floats, Ints
-from app.heat.curing import free_strain, share_since_gelation
+from app.heat.curing import fraction_since_gelation, free_strain
 from app.numerics.saved_state import node_keys
 from app.scene.scene import Stage
 from app.stepping.coupled_system import CoupledSystem
@@ -162,10 +162,10 @@ class HeatedMechanics:
         ):
             f.x.array[:] = (1 - s) * x + s * y
         for k, cure in enumerate(scene.cures):
-            gelled_share = share_since_gelation(cure.gel, a.degrees[k], b.degrees[k], s)
-            strain = (1 - gelled_share) * a.strains[k] + gelled_share * b.strains[k]
+            gelled_fraction = fraction_since_gelation(cure.gel, a.degrees[k], b.degrees[k], s)
+            strain = (1 - gelled_fraction) * a.strains[k] + gelled_fraction * b.strains[k]
             self._applied_strains[k].x.array[:] = strain
-        body = self._operators.bodies.of_region
+        body = self._operators.bodies.body_of_region
         problem.set_temperature(
             {x.region: self._temperatures[body[x.region]] for x in scene.expansions}
         )

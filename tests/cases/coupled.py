@@ -119,5 +119,5 @@ def solve(
         if not steps and step.stage == made.scene.stages[0].name:
             before[0] = so_far()
 
-    made.go(on_step, on_heat, print)
+    made.run(on_step, on_heat, print)
     return Coupled(made, tuple(steps), tuple(rows), before[0], tuple(dissipated))

@@ -49,5 +49,5 @@ def go(*overrides: str) -> tuple[Model, list[LoadStep]]:
     def on_step(step: LoadStep, trial: TrialState | None) -> None:
         steps.append(step)
 
-    model.go(on_step, on_trouble=print)
+    model.run(on_step, on_trouble=print)
     return model, steps

@@ -44,7 +44,7 @@ class Play:
         self.space = forms.space
         self.states = (bone, cement)
         self.functions = [fem.Function(self.space) for _ in self.states]
-        self.record = ThermalRecord(tagged, forms, BODIES.of_region, SIDES, ("bone",), probes)
+        self.record = ThermalRecord(tagged, forms, BODIES.body_of_region, SIDES, ("bone",), probes)
         self.record.start(self.at(0.0))
 
     def at(self, time: float) -> list[fem.Function]:

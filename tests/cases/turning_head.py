@@ -102,7 +102,7 @@ def solve(*overrides: str, tagged: TaggedMesh | None = None) -> list[Step]:
         assert trial is not None
         local, state, scene = trial.contact.local, trial.contact.state, problem.scene
         normal, turned = local.normals[:, 0].copy(), scene.rotation(scene.motions[0], step.time)
-        moved = problem.displacements()[problem.bodies.of_region["head"]].x.array
+        moved = problem.displacements()[problem.bodies.body_of_region["head"]].x.array
         friction = local.weight[:, None] * state.friction
         steps.append(
             Step(

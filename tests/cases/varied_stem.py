@@ -61,6 +61,6 @@ class Runs:
             if trial is not None:
                 last[:] = [ContactSamples(model.mechanical_path.problem, trial)]
 
-        model.go(keep, on_trouble=print)
+        model.run(keep, on_trouble=print)
         moved = model.mechanical_path.problem.displacements()
         return [u.x.array.copy() for u in moved], iterations, model.numbers(last[0])

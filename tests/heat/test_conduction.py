@@ -119,7 +119,7 @@ class Solved(HeatState):
         """Positions (n, 3) and temperatures (n,) of the nodes of a region."""
         operators = self.operators
         nodes = np.flatnonzero(operators.forms.volumes(region) > 0)
-        T = operators.nodal(self.x)[operators.bodies.of_region[region]][nodes] - ZERO
+        T = operators.nodal(self.x)[operators.bodies.body_of_region[region]][nodes] - ZERO
         return operators.forms.space.tabulate_dof_coordinates()[nodes], T
 
 

@@ -106,7 +106,9 @@ def test_followers_across_a_matching_cut_equal_the_uncut_body(tmp_path: Path) ->
         for region in ("lower", "upper"):
             cells = tags.find(problem.tagged.regions[region])
             nodes = np.unique(problem.space.dofmap.list[cells])
-            u = problem.displacements()[problem.bodies.of_region[region]].x.array.reshape(-1, 3)
+            u = problem.displacements()[problem.bodies.body_of_region[region]].x.array.reshape(
+                -1, 3
+            )
             displacements.append(u[nodes[np.lexsort(x[nodes].round(6).T)]])
     for before, after in zip(displacements[:2], displacements[2:], strict=True):
         assert support.difference(after, before) < 1e-10

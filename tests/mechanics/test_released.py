@@ -50,7 +50,7 @@ def test_constraints_released_support_equals_no_support(overrides: tuple[str, ..
     problem = released.problem
     problem.set_time(1.0)
     released.step()
-    held = problem.displacements()[problem.bodies.of_region["upper"]].x.array.copy()
+    held = problem.displacements()[problem.bodies.body_of_region["upper"]].x.array.copy()
     assert problem.stiffness.version == 0
     u, _ = released.solver.u_and_q()
     problem.set_stage(0, u)
@@ -59,14 +59,14 @@ def test_constraints_released_support_equals_no_support(overrides: tuple[str, ..
     assert problem.stiffness.version == 1
     # Nothing moves by letting go.
     problem.update_displacements(*released.solver.u_and_q())
-    top = problem.displacements()[problem.bodies.of_region["upper"]]
+    top = problem.displacements()[problem.bodies.body_of_region["upper"]]
     assert np.abs(top.x.array - held).max() < 1e-14
     problem.set_time(2.0)
     released.step()
     never = Heated.make(COLUMN, active(hand=()), *overrides)
     never.problem.set_time(1.0)
     never.step()
-    expected = never.problem.displacements()[never.problem.bodies.of_region["upper"]].x.array
+    expected = never.problem.displacements()[never.problem.bodies.body_of_region["upper"]].x.array
     assert np.abs(expected - held).max() > 1e-4
     assert np.abs(top.x.array - expected).max() < 1e-9 * np.abs(expected).max()
     # What held is no reaction any more: the floor carries all.

@@ -131,7 +131,7 @@ def test_gruen_strain_energy_is_half_the_work_of_loads() -> None:
     stresses = Stresses(solved.problem)
     total = 0.0
     for region, height in (("lower", 6.0), ("upper", 3.0)):
-        x, dx = stresses.places(region)
+        x, dx = stresses.points_and_volumes(region)
         assert dx.sum() == pytest.approx(4 * 5 * height)
         mean = (x * dx.reshape(-1, 1)).sum(axis=0) / dx.sum()
         assert mean == pytest.approx([2.0, 2.5, height / 2 if region == "lower" else 7.5])

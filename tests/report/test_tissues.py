@@ -129,7 +129,7 @@ def test_tissues_necrosis_counts_bone_alone() -> None:
     tagged = two_blocks(MPI.COMM_SELF)
     forms = HeatForms(tagged, BODIES, Timing())
     play = Play(tagged, constant(60.0), constant(80.0))
-    play.record = ThermalRecord(tagged, forms, BODIES.of_region, SIDES, ("cement",), {})
+    play.record = ThermalRecord(tagged, forms, BODIES.body_of_region, SIDES, ("cement",), {})
     play.record.start(play.at(0.0))
     regions = play.through(60.0, 120.0)["regions"]
     assert regions["cement"]["necrosis_47C_1min_volume"] == pytest.approx(4 * 4 * 2)

@@ -64,7 +64,7 @@ def heat(tagged: TaggedMesh, resists: bool) -> HeatFields:
     state[0].array[:] = np.where(x[:, 2] < 1.999, bone, bone - colder)
     if operators.jumps is not None:
         state[1].array[:] = 10 + x[operators.jumps.dof, 0]
-    record = ThermalRecord(tagged, forms, operators.bodies.of_region, SIDES, ("bone",), {})
+    record = ThermalRecord(tagged, forms, operators.bodies.body_of_region, SIDES, ("bone",), {})
     temperatures = operators.temperatures(state)
     record.start(temperatures)
     record.update(60.0, temperatures)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.results.level_sets import positive_share
+from app.results.level_sets import positive_fraction
 from meshes.mantle import distance
 
 
@@ -13,7 +13,7 @@ def test_level_sets_part_of_a_tetrahedron() -> None:
     rng = np.random.default_rng(3)
     f = rng.uniform(-1, 1, (40, 4))
     points = rng.dirichlet(np.ones(4), 400_000)
-    for row, share in zip(f, positive_share(f), strict=True):
+    for row, share in zip(f, positive_fraction(f), strict=True):
         assert share == pytest.approx((points @ row >= 0).mean(), abs=4e-3)
 
 
@@ -27,12 +27,12 @@ def test_level_sets_part_of_a_tetrahedron() -> None:
 )
 def test_level_sets_special_cases(f: tuple[int, ...], share: float) -> None:
     for order in ((0, 1, 2, 3), (3, 1, 0, 2), (2, 3, 1, 0)):
-        assert positive_share(np.array([f], dtype=float)[:, order]) == pytest.approx(share)
+        assert positive_fraction(np.array([f], dtype=float)[:, order]) == pytest.approx(share)
 
 
 def test_level_sets_volumes_add_up() -> None:
     f = np.random.default_rng(5).normal(size=(1000, 4))
-    assert positive_share(f) + positive_share(-f) == pytest.approx(1)
+    assert positive_fraction(f) + positive_fraction(-f) == pytest.approx(1)
 
 
 def test_level_sets_distance_from_a_triangle() -> None:

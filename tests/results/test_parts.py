@@ -74,7 +74,7 @@ def test_surface_parts_neck_is_separate_from_the_stem(
 ) -> None:
     """Tension by z [MPa]: the neck, above 1 mm, has what is above 1 MPa."""
     stresses = Stresses(pressed.problem, depth=lambda x: 1.0 - x[:, 2])
-    z = stresses.places("stem")[0][:, 2]
+    z = stresses.points_and_volumes("stem")[0][:, 2]
     monkeypatch.setattr(stresses, "evaluate", lambda _: np.multiply.outer(z, np.diag([0, 0, 1.0])))
     stem = stresses.region("stem")
     assert (

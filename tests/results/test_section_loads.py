@@ -117,7 +117,7 @@ def test_section_loads_equal_integrated_stress() -> None:
     wanted = next(s for s in section_loads(solved.case, 1.0) if s.z == level)
     stresses, force, moment = Stresses(solved.problem), np.zeros(3), np.zeros(3)
     for region in solved.case.regions:
-        x, volume = stresses.places(region)
+        x, volume = stresses.points_and_volumes(region)
         weight = np.maximum(0.0, 1 - np.abs(x[:, 2] - level) / 20) / 20 * volume.ravel()
         # What is above acts on what is below, whose outward normal is z.
         t = stresses.evaluate(region).reshape(-1, 3, 3)[:, :, 2] * weight[:, None]

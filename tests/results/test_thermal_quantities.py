@@ -236,7 +236,9 @@ def test_thermal_record_probes_in_curved_cells() -> None:
         f"p{a}": ((10.999 * np.cos(a), 10.999 * np.sin(a), 3.1), "cement")
         for a in (0.0, 0.5, 1.0, 1.5, 2.0)
     }
-    record = ThermalRecord(tagged, forms, bodies.of_region, tagged.interfaces, ("bone",), probes)
+    record = ThermalRecord(
+        tagged, forms, bodies.body_of_region, tagged.interfaces, ("bone",), probes
+    )
     T = fem.Function(forms.space)
     x = forms.space.tabulate_dof_coordinates()
     T.x.array[:] = ZERO + np.hypot(x[:, 0], x[:, 1])

@@ -70,7 +70,7 @@ def test_fibres_balances_close_with_free_strain(lay: str, order: int) -> None:
 def test_fibres_energy_is_half_the_work_of_pressure(lay: str) -> None:
     solved = support.solve(ring(lay, "mesh.size=1 mm"))
     stresses = Stresses(solved.problem)
-    _, volumes = stresses.places("ring")
+    _, volumes = stresses.points_and_volumes("ring")
     energy = float((stresses.energy_density("ring") * volumes).sum())
     work = solved.problem.f.dot(solved.solver.u_and_q()[0])
     assert energy == pytest.approx(0.5 * work, rel=1e-9)
@@ -137,7 +137,7 @@ def test_fibres_heat_through_a_ring(
     """2 π k L ΔT / log(b / a), of which the quarter; k that of the fibre only if it is radial."""
     case = support.case(HOT, f"regions.ring.thermal.fibre.kind={lay}", *overrides)
     model = Model(case, MPI.COMM_WORLD, {}, Timing(), lambda: "")
-    model.go(on_trouble=print)
+    model.run(on_trouble=print)
     flow = model.numbers(None)["thermal"]["flows"]["into"]["warm"]
     exactly = math.pi / 2 * conductivity * 0.5 * 10 / math.log(2)
     assert flow == pytest.approx(exactly, rel=3e-3)

@@ -184,7 +184,7 @@ def solved_by_calculix(folder: Path, changes: str) -> tuple[support.Solved, Floa
     solved = support.solve(load(folder / "case.yaml").config)
     p = solved.problem
     u = hip.nodal_displacements(p)
-    of_cell = p.bodies.of_tag[bodies.cell_tags(p.tagged)][:, None]
+    of_cell = p.bodies.body_of_tag[bodies.cell_tags(p.tagged)][:, None]
     keys = np.unique(p.space.dofmap.list.astype(np.int64) * len(u) + of_cell)
     node, body = np.divmod(keys, len(u))
     theirs: Floats = np.zeros(u.shape)
@@ -205,7 +205,7 @@ def numbers(solved: support.Solved, u: Floats, monkeypatch: pytest.MonkeyPatch) 
     n = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     area = np.linalg.norm(n, axis=1) / 2
     n *= (np.sign(np.einsum("fi,fi->f", x.mean(axis=1) - inside, n)) / (2 * area))[:, None]
-    slave, master = (p.bodies.of_region[side[0]] for side in (stem.slave, stem.master))
+    slave, master = (p.bodies.body_of_region[side[0]] for side in (stem.slave, stem.master))
     jump = u[master, dofs] - u[slave, dofs]
     gap = np.einsum("fci,fi->fc", jump, n)
     slip = np.linalg.norm(jump - gap[..., None] * n[:, None], axis=2)

@@ -216,7 +216,7 @@ def test_coupled_system_insulated_bodies_keep_friction_heat(
     assert sum(warmed) == pytest.approx(released, rel=1e-8)
     if not perfect:
         # The first side is the lower block.
-        lower = warmed[operators.bodies.of_region["lower"]]
+        lower = warmed[operators.bodies.body_of_region["lower"]]
         assert lower == pytest.approx(share * released, rel=1e-8)
 
 

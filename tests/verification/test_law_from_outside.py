@@ -375,7 +375,7 @@ def area_over(level):
 
 def strain_energy(stresses, region):
     """Energy of the elastic strain of a region [N mm]."""
-    _, volumes = stresses.places(region)
+    _, volumes = stresses.points_and_volumes(region)
     return MPI.COMM_WORLD.allreduce(np.sum(stresses.energy_density(region) * volumes))
 
 
