@@ -16,10 +16,12 @@ from app.case.hips import ON_CUT
 from app.case.quantities import GAUGES
 from app.case.summary import Numbers, Zone
 from app.foundation.arrays import Floats, Ints
+from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
 from app.results.interface_numbers import ContactSamples
 from app.results.stresses import Stresses
 from app.scene import bodies
+from app.stepping.load_steps import LoadStep, OnStep
 from meshes.geometry import is_hip
 from meshes.gruen import Zones
 
@@ -72,13 +74,33 @@ class StemMotion:
     def __call__(self, side: str) -> Numbers:
         """Return the numbers of a hip of side ``left`` or ``right``."""
         u, comm = nodal_displacements(self._problem), self._problem.comm
-        displacements: Numbers = {}
+        numbers: Numbers = {}
         for end, (body, rows, counted_rows) in zip(ENDS, self._ends, strict=False):
             end_displacements = np.concatenate(comm.allgather(u[body, rows]))
-            displacements[end] = [float(c) for c in end_displacements[counted_rows].mean(axis=0)]
-        nearest = self._nearest
-        if nearest is None:
-            return displacements
+            numbers[end] = [float(c) for c in end_displacements[counted_rows].mean(axis=0)]
+        if self._nearest is None:
+            return numbers
+        motion = self._motion(u, self._nearest)
+        if self.at_insertion:
+            numbers["insertion_subsidence"] = self.at_insertion["subsidence"]
+            motion = {key: value - self.at_insertion[key] for key, value in motion.items()}
+        if side == "right":
+            motion |= {key: -motion[key] for key in ("retroversion", "varus")}
+        return motion | numbers
+
+    def before(self, on_step: OnStep) -> OnStep:
+        """Return a hook of steps that keeps the motion at the end of the insertion."""
+
+        def step(accepted: LoadStep, trial: TrialState | None) -> None:
+            contact = self._problem.contact
+            if contact is not None and contact.is_inserting and self._nearest is not None:
+                self.at_insertion = self._motion(nodal_displacements(self._problem), self._nearest)
+            on_step(accepted, trial)
+
+        return step
+
+    def _motion(self, u: Floats, nearest: Ints) -> Numbers:
+        """Return the rigid motion of a left stem, from nodal displacements; collective."""
         # The rigid motion of all bone is subtracted first, because it moves a point of the stem and
         # the nearest point of bone differently. The deformation of bone is that of this point.
         stem, bone = self._stem, self._facing
@@ -89,22 +111,9 @@ class StemMotion:
             - np.cross(bone.rotation(bone_motion), stem.x - bone.x[nearest])
         )
         t = np.average(v, axis=0, weights=stem.area)
-        ω = np.rad2deg(stem.rotation(v)) * (1 if side == "left" else -1)
+        ω = np.rad2deg(stem.rotation(v))
         motion = {"subsidence": -t[2], "retroversion": -ω[2], "varus": ω[1]}
-        numbers: Numbers = {key: float(value) for key, value in motion.items()}
-        return self._since_insertion(numbers) | displacements
-
-    def _since_insertion(self, motion: Numbers) -> Numbers:
-        """Return the motion since the end of the insertion; as it is without a press fit."""
-        contact = self._problem.contact
-        if contact is None or not any(c.press_fit for c in self._problem.scene.contacts):
-            return motion
-        if contact.is_inserting:
-            self.at_insertion = motion
-        elif not self.at_insertion:  # nothing is pressed in
-            return motion
-        since = {key: value - self.at_insertion[key] for key, value in motion.items()}
-        return since | {"insertion_subsidence": self.at_insertion["subsidence"]}
+        return {key: float(value) for key, value in motion.items()}
 
 
 @dataclass(frozen=True)

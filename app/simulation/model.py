@@ -99,6 +99,7 @@ class Mechanical:
     def begin(self) -> None:
         """Begin another case with problem and solver at rest; collective."""
         self.neighbours.begin()
+        self.stem.at_insertion = {}
 
     def restored(self) -> None:
         """Fill the unknowns with the restored displacement and jumps; collective."""
@@ -291,6 +292,8 @@ class Model:
             on_heat(step, accepted)
 
         mechanics, stages = self.mechanical_path, self.scene.stages
+        if mechanics:
+            on_step = mechanics.stem.before(on_step)
         predictors = self._predictors(mechanics) if mechanics else ()
         self._steppers = self.analysis.steppers(on_step, on_accepted, on_trouble, predictors)
         if self._steppers.load:
