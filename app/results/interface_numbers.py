@@ -101,6 +101,23 @@ def status_at_rest(trial: TrialState) -> Ints:
     return np.where(is_held, STICK, trial.law.status)
 
 
+def shear_of_faces(shear: Floats, pressures: Floats, of_faces: Floats) -> Floats:
+    """Return the shear of the faces of points (n, 3), over their areas [MPa].
+
+    Faces that press carry the friction of their point in proportion to their pressures, so that the
+    law of friction holds on each. Without pressure all faces have the shear of the point.
+
+    Args:
+        shear: Shear of the points (n,).
+        pressures: Pressures of their faces, over the areas of the points (n, 3).
+        of_faces: The same over the areas of the faces (n, 3).
+    """
+    total = pressures.sum(axis=1)
+    is_pressed = (pressures >= 0).all(axis=1) & (total > 0)
+    ratio = np.divide(shear, total, where=is_pressed, out=np.zeros_like(shear))
+    return np.where(is_pressed[:, None], ratio[:, None] * of_faces, shear[:, None])
+
+
 class TractionSize(NamedTuple):
     """Size of a traction at the faces of points [MPa].
 
@@ -238,8 +255,14 @@ class ContactSamples:
         if self.contacts[i].between:
             return {k: TractionSize(m, m, of_points[k]) for k, m in means.items()}
         means["pressure"] = surface.of_faces(self._pressures)
+        means["shear"] = shear_of_faces(self.shear, self._pressures, means["pressure"])
         of_points["pressure"] = self._pressures.sum(axis=1)
-        return {k: TractionSize(m, surface.sharpened(m), of_points[k]) for k, m in means.items()}
+        values = {name: surface.sharpened(mean) for name, mean in means.items()}
+        contact = self.contacts[i]
+        if contact.law.is_contact and "μ" in contact.constants:
+            limit = contact.constants["μ"](self.x)[:, None] * values["pressure"]
+            values["shear"] = np.minimum(values["shear"], limit)
+        return {k: TractionSize(means[k], values[k], of_points[k]) for k in means}
 
     @cached_property
     def numbers(self) -> dict[str, Numbers]:

@@ -28,6 +28,9 @@ from app.results.percentiles import SurfaceField
 
 # Steps from means towards point values.
 STEPS = 2
+# Fraction of the area of a point below which one of its faces is a sliver: the force along its
+# normal belongs to the surroundings, and over its area it is no pressure.
+SLIVER = 0.1
 # Fraction of a facet below which a piece is rounding.
 NOTHING = 1e-12
 # Fraction of an interface below which a part of it is rounding.
@@ -198,10 +201,14 @@ class Surface:
     def of_faces(self, values: Floats) -> Floats:
         """Means over the areas of faces (n, 3), from values over the areas of their points (n, 3).
 
-        A face that no facet of this interface belongs to has none.
+        A face that no facet of this interface belongs to has none. A sliver keeps the value over
+        the area of its point.
         """
         area = self._face_area
-        return np.divide(values * area.sum(axis=1)[:, None], area, where=area > 0, out=0 * values)
+        total = np.broadcast_to(area.sum(axis=1)[:, None], area.shape)
+        over_point = np.where(area > 0, values, 0.0)
+        is_wide = area > SLIVER * total
+        return np.divide(values * total, area, where=is_wide, out=over_point)
 
     def _sums(self, corners: Floats) -> Floats:
         """Sum values at the corners of facets (f, 3) over the facets of each face (n, 3)."""
@@ -212,12 +219,13 @@ class Surface:
     def sharpened(self, means: Floats) -> Floats:
         """Return point values (n, 3) at the faces of points from means over their areas (n, 3).
 
-        Values have the sign of their means, and zeros remain. Next to a point that supports hold,
-        which has no reported traction, the means are returned.
+        Values have the sign of their means, and zeros remain. On slivers, and next to a point that
+        supports hold, which has no reported traction, the means are returned.
         """
         area = self._face_area
         sharp_sums = self._sums(np.repeat(~self._sharp[:, None], 3, axis=1).astype(float))
-        has_smooth_part = (area > 0) & (sharp_sums == 0)
+        is_wide = area > SLIVER * area.sum(axis=1, keepdims=True)
+        has_smooth_part = is_wide & (sharp_sums == 0)
         values = means.copy()
         for _ in range(STEPS):
             corners = self._at_corners(values)

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 
 from app.foundation.arrays import Floats, Ints
+from app.results.interface_numbers import shear_of_faces
 from app.results.surface_parts import Surface
 
 Function = Callable[[Floats, Floats], Floats]
@@ -233,3 +234,30 @@ def test_surface_parts_faces_of_an_edge_have_separate_means() -> None:
     field = surface.field(means, "")
     assert field.maximum()[0] == pytest.approx(2.0) and field.mean() == pytest.approx(2.0)
     assert surface.field(surface.sharpened(means), "").maximum()[0] == pytest.approx(2.0)
+
+
+def test_surface_parts_faces_of_an_edge_carry_friction_by_pressure() -> None:
+    """Coulomb's law holds on each face, and the friction forces sum up to that of the point."""
+    areas, μ = np.array([[1.0, 3.0, 0.0], [4.0, 0.0, 0.0]]), 0.4
+    pressures = np.array([[0.5, 1.5, 0.0], [0.0, 0.0, 0.0]])  # over 4 mm2
+    of_faces = np.array([[2.0, 2.0, 0.0], [0.0, 0.0, 0.0]])
+    shear = shear_of_faces(np.array([μ * 2.0, 0.1]), pressures, of_faces)
+    assert shear[0] == pytest.approx(μ * of_faces[0])
+    assert shear[0] @ areas[0] == pytest.approx(μ * 2.0 * 4.0)
+    assert shear[1, 0] == 0.1  # bonded, without pressure
+
+
+def test_surface_parts_sliver_has_the_pressure_of_its_point() -> None:
+    """A face of a fiftieth of its point does not have fifty times the pressure."""
+    x = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0.02]], dtype=float)
+    triangles = np.array([[0, 1, 2], [0, 1, 3]])
+    points = flat(x, triangles)
+    points.normals[:, 1, 1] = 1.0
+    points.faces = np.array([2, 2, 1, 1])
+    points.normals[3, 0] = [0.0, 1.0, 0.0]
+    surface = Surface(points, 0, {})
+    pressures = np.zeros((4, 3))
+    pressures[:2] = [0.0, 10.0, 0.0]
+    means = surface.of_faces(pressures)
+    assert means[0] == pytest.approx([0.0, 10.0, 0.0])
+    assert surface.sharpened(means)[0] == pytest.approx([0.0, 10.0, 0.0])
