@@ -307,17 +307,24 @@ def placement_of(geometry: StemInBone) -> Placement:
     return CutPlane.of(geometry).put(geometry.implant, position(geometry), geometry.femur.mirrored)
 
 
+def lengthening(geometry: PlacedStem) -> float:
+    """Change of the leg length by the operation: of the height of the head along the shaft [mm]."""
+    implant = geometry.implant
+    head = geometry.placement.to_model([implant.head_offset, 0.0, implant.head_height])
+    return float(head[2] - geometry.femur.head[2])
+
+
 def head_in_words(geometry: PlacedStem) -> str:
     """Offset, leg length and version of the stem's head, with their changes by the operation.
 
-    The offset is the distance of the head's centre from the shaft's axis, the leg length its height
-    along it. Version is the azimuth of the neck about it.
+    The offset is the distance of the head's centre from the shaft's axis. Version is the azimuth of
+    the neck about it.
     """
     placement, implant, femur = geometry.placement, geometry.implant, geometry.femur
     head, intact = placement.to_model([implant.head_offset, 0.0, implant.head_height]), femur.head
     offset, intact_offset = math.hypot(*head[:2]), math.hypot(*intact[:2])
     version = math.degrees(math.atan2(placement.rotation[1, 0], placement.rotation[0, 0]))
-    changes = offset - intact_offset, head[2] - intact[2], version - math.degrees(femur.neck)
+    changes = offset - intact_offset, lengthening(geometry), version - math.degrees(femur.neck)
     offset_change, length_change, rotation = (
         round(float(change), 1) + 0.0 for change in changes
     )  # no "-0.0"

@@ -392,6 +392,17 @@ def _held(case: CaseParts) -> Iterable[Fault]:
 
 
 @check("geometry")
+def _zones(case: CaseParts) -> Iterable[Fault]:
+    """Refuse zones of a stem's surface that are above or below the stem."""
+    length = case.geometry.stem_length
+    for name, law in _valid(case.interfaces) if length else ():
+        for zone, (low, high) in law.zone_heights.items():
+            if low >= length or high <= 0.0:
+                message = f"covers nothing of the stem; expected heights from 0 to {length:.0f} mm"
+                yield Fault(("interfaces", name, "zones", zone), message)
+
+
+@check("geometry")
 def _side(case: CaseParts) -> Iterable[Fault]:
     """Refuse right parametric femurs, which are left ones."""
     if case.side == "right" and case.geometry.has_gruen_zones:

@@ -315,6 +315,11 @@ class Hip(Shape):
         return implant.section(0.25 * implant.tip_z + 0.75 * self.cut_height)
 
     @property
+    def stem_length(self) -> float:
+        """Height of the stem's shoulder over its tip (mm)."""
+        return self.implant.length
+
+    @property
     def stem_perimeter(self) -> float:
         """Length around the stem where lines are counted (mm)."""
         return perimeter(*self._section())

@@ -225,6 +225,11 @@ class Shape(Extensible):
         return 0.0
 
     @property
+    def stem_length(self) -> float:
+        """Height of a stem's shoulder over its tip (mm); 0 without a stem."""
+        return 0.0
+
+    @property
     def stem_perimeter(self) -> float:
         """Length around a stem where lines are counted (mm); 0 without lines."""
         return 0.0

@@ -138,6 +138,11 @@ class Load(Extensible, Named):
         """Cycle table of its values; None without."""
         return None
 
+    @property
+    def cycle_sizes(self) -> tuple[float, ...]:
+        """Sizes of the force at the rows of its cycle table [N]; none without."""
+        return ()
+
     def density_at(self, x: Floats) -> Floats:
         """Force per volume at points (n, 3) [N/mm3]."""
         return 0.0 * x
@@ -235,6 +240,14 @@ class Force(Load):
     def cycle(self) -> CycleTable | None:
         """The key `cycle_table`."""
         return self.cycle_table
+
+    @property
+    def cycle_sizes(self) -> tuple[float, ...]:
+        """Sizes of the force at the rows of its cycle table [N]; none without."""
+        if self.cycle_table is None:
+            return ()
+        first, *_, last = times = self.cycle_table.times
+        return tuple(math.hypot(*self.force_at((t - first) / (last - first))) for t in times)
 
     def moving_force(self, driven: Container[str | None]) -> Force | None:
         """Return the force if it has a cycle table, or it or its boundary has a motion."""

@@ -22,6 +22,10 @@ from meshes.plane_sections import centroid
 WALL_THICKNESS = 1.5
 # Typical change of CT numbers across the endosteum [1/mm].
 GRADIENT = 500.0
+# Thickness of the layer below this wall that is cortex in a shaft [mm], and least part of it above
+# the threshold: less is that of a CT that is mirrored or moved.
+CORTEX_LAYER = 1.0
+LEAST_CORTEX_FRACTION = 0.75
 # Spread of the filter against noise [mm].
 NOISE_FILTER = 0.5
 # Change of the threshold whose effect on the cortex is reported.
@@ -79,6 +83,18 @@ def read(
             " the canal then has the"
             " ratios of the parametric femur"
         )
+    outermost = inner_voxels[
+        (height < top_level) & (depth[tuple(inner_voxels.T)] < WALL_THICKNESS + CORTEX_LAYER)
+    ]
+    cortex_fraction = float((numbers[tuple(outermost.T)] >= threshold).mean())
+    doubts = list(ct.notes)
+    if cortex_fraction < LEAST_CORTEX_FRACTION:
+        doubts.append(
+            f"{path.name}: only {100 * cortex_fraction:.0f} % of the shaft"
+            f" {WALL_THICKNESS:g} to {WALL_THICKNESS + CORTEX_LAYER:g} mm below its surface have CT"
+            f" numbers above {threshold:g}; expected at least {100 * LEAST_CORTEX_FRACTION:.0f} %."
+            " Is the CT mirrored or moved against the labels, or the cortex thinner than this?"
+        )
     canal_voxels = inner_voxels[height < top_level + 2.0 * WALL_THICKNESS]
     box = tuple(
         slice(max(a - 2, 0), b + 3)
@@ -97,7 +113,7 @@ def read(
     )
     return replace(
         surfaces[1],
-        doubts=ct.notes,
+        doubts=tuple(doubts),
         notes=(
             f"CT numbers below {threshold:g} in the bone, up to z = {top_level:.0f} mm; cortex"
             f" {mean_thickness:.1f} mm thick on average ({at_lower_threshold:.1f} with"

@@ -9,6 +9,10 @@ from app.foundation.verdict import Verdict, note
 from app.patient.geometry import Patient
 from app.patient.image_modulus import ImageModulus
 from app.soundness.preview import warner
+from meshes.placement import lengthening
+
+# Change of the leg length above which a note is given [mm]: patients notice it.
+DIFFERENT_LEG = 10.0
 
 
 @warner
@@ -17,6 +21,14 @@ def _bone(case: Case) -> Iterable[Verdict]:
     if isinstance(case.geometry, Patient):
         for note_text in case.geometry.femur.notes:
             yield note(note_text, "geometry.bone")
+        longer = lengthening(case.geometry)
+        if abs(longer) > DIFFERENT_LEG:
+            word = "longer" if longer > 0 else "shorter"
+            yield note(
+                f"the leg becomes {abs(longer):.0f} mm {word}",
+                "geometry.stem.head_height",
+                "change head_height, insertion.depth or resection.height",
+            )
         end_level = case.geometry.continued_below
         if end_level is not None:
             note_text = (

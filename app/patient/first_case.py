@@ -71,7 +71,7 @@ def write(
         path: The new file.
         labels: File of the segmentation, or folder of its files.
         ct: CT of the same bone, by which the canal is known.
-        side: Side of the femur, where there are two.
+        side: Side of the femur; None: by its name, or its landmarks.
         label: Name or number of the femur's label.
 
     Returns:
@@ -83,7 +83,7 @@ def write(
     """
     path = new_case.yaml(path)
     bone = segmentation.femur(labels, side, label)
-    proposal = _propose(path.parent, bone, segmentation.canal(labels, bone), ct)
+    proposal = _propose(path.parent, bone, segmentation.canal(labels, bone), ct, side)
     keys: dict[str, object] = {
         "base": "stance",
         "title": f"Hip of {labels.name}",
@@ -100,15 +100,17 @@ def write(
     return path, list(_assumptions(bone, ct, proposal))
 
 
-def _propose(folder: Path, bone: Structure, canal: Structure | None, ct: Path | None) -> Proposal:
+def _propose(
+    folder: Path, bone: Structure, canal: Structure | None, ct: Path | None, side: str | None
+) -> Proposal:
     """Return the largest stem of `STEMS` that fits, with the keys of its geometry.
 
     Raises:
         InputError: The bone is refused, or no stem fits.
     """
     bone_keys: dict[str, object] = {"image": _relative(bone.path, folder), "label": bone.number}
-    if bone.side:
-        bone_keys["side"] = bone.side
+    if bone.side or side:
+        bone_keys["side"] = bone.side or side
     canal_keys: dict[str, object] = {"ream": "broach"}
     if canal:
         image = {"image": _relative(canal.path, folder), "label": canal.number}
@@ -177,7 +179,7 @@ def _assumptions(bone: Structure, ct: Path | None, proposal: Proposal) -> Iterat
     femur, implant, details = geometry.femur, geometry.implant, geometry.details
     frame = femur.frame
     source = f", {bone.source}" if bone.source else ""
-    side_source = "" if bone.side else ", by the lesser trochanter"
+    side_source = "" if geometry.bone.side else ", by the lesser trochanter"
     yield f"femur: {bone}{source}; {frame.side}{side_source}{_against_axes(femur)}"
     end_level = geometry.continued_below
     scan = "the scan contains the shaft that is needed"
@@ -194,7 +196,8 @@ def _assumptions(bone: Structure, ct: Path | None, proposal: Proposal) -> Iterat
     cut = f"neck cut {CUT_HEIGHT:g} mm above the lesser trochanter at {angle:g} deg"
     best_position = geometry.placement_details["best position"]
     stem = f"{_size(implant)} with {CEMENT_THICKNESS:g} mm of cement"
-    yield f"operation: {cut}; {stem}; best position: {best_position}"
+    head = geometry.placement_details["head of the stem"]
+    yield f"operation: {cut}; {stem}; best position: {best_position}; head: {head}"
     medial = "the condyles" if femur.has_condyles else "the neck, since the scan has no condyles"
     yield f"loads: one leg, body weight 600 N; x is along {medial}; materials of `stance`"
     for doubt in femur.notes:

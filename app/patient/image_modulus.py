@@ -30,6 +30,8 @@ STIFFEST = 40e3
 SOFTEST = 500.0
 # The median of a cortex is below this [MPa].
 STIFF_CORTEX = 25e3
+# Least plausible one: also that of a femur with a thin cortex.
+SOFT_CORTEX = 1e3
 AIR_NUMBER = -200.0  # CT number: air and lung are below it
 REPORTED_DENSITIES = (0.3, 0.6, 1.0)  # g/cm3 for which moduli are reported
 SAME_AXES = 0.5  # deg up to which the axes of CT and labels are the same
@@ -184,6 +186,12 @@ class ImageModulus(ModulusField):
                     f" {labels.name}; are CT and labels of one scan?"
                 )
         median = float(np.median(self.below_surface(patient)))
+        if median < SOFT_CORTEX:
+            notes.append(
+                f"{name}: the median of E {SURFACE_DEPTH:g} mm below the bone's surface is"
+                f" {median / 1e3:.2g} GPa; expected more than {SOFT_CORTEX / 1e3:g} GPa. Is the CT"
+                " mirrored or moved against the bone, or is the calibration wrong?"
+            )
         if median > STIFF_CORTEX:
             doubt = f"{name}: the median of E {SURFACE_DEPTH:g} mm below the bone's surface is"
             expected = f"expected less than {STIFF_CORTEX / 1e3:g} GPa"

@@ -40,6 +40,7 @@ CORE_SHARE = 0.6
 # Its largest value over the canal's radius at the same angle.
 NARROWEST_SHARE = 0.65
 CANAL_SMOOTHING = 1.5  # samples over which a canal is smoothed
+LEAST_REMOVED = 0.05  # mm of bone: less is printed as 0.0
 MOST_OBLIQUE = 2.0  # largest length of a ray through the cortex over the thickness
 LID_COSINE = 0.9  # least component along the shaft of normals of a canal's flat end
 LID_DISTANCE = 15.0  # mm from the canal's top within which its flat end is
@@ -289,6 +290,8 @@ class MeasuredLayers:
         for title, thickness in thicknesses.items():
             thickness = np.where(is_beside_stem, thickness, -np.inf)
             i, j = np.unravel_index(thickness.argmax(), thickness.shape)
+            if 0.0 <= thickness[i, j] < LEAST_REMOVED:
+                continue
             location = self._placement.point_in_words(self._grid_points(reamed)[i, j])
             self.notes.append(f"{title}: {abs(thickness[i, j]):.1f} mm at {location}")
         return reamed

@@ -133,7 +133,7 @@ def femur(path: Path, side: str | None, label: str | None) -> Structure:
 
     Args:
         path: File or folder.
-        side: Side of the femur that is asked for, where there are two.
+        side: Side of the femur that is asked for.
         label: Name or number of the femur's label, where no name identifies it.
 
     Raises:
@@ -146,7 +146,7 @@ def femur(path: Path, side: str | None, label: str | None) -> Structure:
             raise InputError(
                 f"--label {label}: {path} has no such label; it has {_list(structures)}"
             )
-        return matching[0]
+        return _of_side(matching[0], side)
     femora = [s for s in structures if FEMUR.search(s.name) and not NO_FEMUR.search(s.name)]
     if not femora and len(structures) == 1:
         femora = structures
@@ -164,7 +164,14 @@ def femur(path: Path, side: str | None, label: str | None) -> Structure:
         raise InputError(
             f"{path}: has {len(femora)} femora: {_list(femora)}; choose one with {remedy}"
         )
-    return femora[0]
+    return _of_side(femora[0], side)
+
+
+def _of_side(femur: Structure, side: str | None) -> Structure:
+    """Return a femur; raise InputError if its name has the other side than the one asked for."""
+    if side and femur.side not in (None, side):
+        raise InputError(f"--side {side}: the femur is {femur}")
+    return femur
 
 
 def canal(path: Path, bone: Structure) -> Structure | None:

@@ -71,7 +71,10 @@ def _areas(name: str, q: Numbers) -> str:
 def _ingrowth(summary: Summary) -> Iterable[Verdict]:
     """Areas of micromotion, compared with published limits of ingrowth."""
     for name, q in summary.get("interfaces", {}).items():
-        if name == ON_CUT or not q.get("area") or "area_micromotion_over_40um" not in q:
+        has_grown_in = "damage_mean" in q
+        if name == ON_CUT or has_grown_in or not q.get("area"):
+            continue
+        if "area_micromotion_over_40um" not in q:
             continue
         interface_and_zones = {name: q} | {
             f"zone {zone}": part for zone, part in q.get("zones", {}).items()
@@ -92,7 +95,8 @@ def _raised_collar(summary: Summary) -> Iterable[Verdict]:
     collar = summary.get("interfaces", {}).get(ON_CUT, {})
     stem = summary.get("stem", {})
     rise = -stem.get("insertion_subsidence", 0.0)
-    if rise > 0 and collar.get("insertion_pressure_max") == 0:
+    has_clearance = collar.get("gap_mean", 0.0) > rise
+    if rise > 0 and collar.get("insertion_pressure_max") == 0 and not has_clearance:
         message = (
             f"the insertion raises the stem by {1e3 * rise:.1f} um and lifts its collar off the"
             " bone, since the stem grows in its bed; a collar that is seated last carries more"

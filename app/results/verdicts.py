@@ -241,9 +241,12 @@ def _by_facets(name: str, q: Numbers) -> Verdict:
     """Return the verdict on a largest pressure that depends on the facets."""
     largest = TABLE["interfaces"]["pressure_max"].text(q)
     facet_pressure = TABLE["interfaces"]["pressure_by_facets"].text(q)
+    part = f"up to {facet_pressure} MPa"
+    if q["pressure_by_facets"] >= q["pressure_max"]:
+        part = "all of it"
     message = (
         f"the maximum on {name}, {largest} MPa, depends on the facets of the mesh: slip over their "
-        f"edges may cause up to {facet_pressure} MPa"
+        f"edges may cause {part}"
     )
     cure = "reduce `mesh.size`, or use curved cells (`mesh.order: 2`) if they are straight"
     return Verdict(message, "pressure", cure, Severity.WARNING)

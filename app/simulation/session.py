@@ -335,7 +335,7 @@ class _CaseRun:
             summary["timing"] = self._recorder.seconds()
             verdicts.record(summary, notes)
         if case.geometry.other_bones:
-            with setup.timing.phase("error"), self._last_state_kept():
+            with setup.timing.phase("influence"), self._last_state_kept():
                 influence = bone_influence.estimate(case, model)
             if influence:
                 summary["assumed_bone"] = influence

@@ -220,6 +220,8 @@ STIFFNESS = {
 }
 # Forces on a hip, from the press of a finger to a fall [N].
 HIP_FORCES = (20.0, 5e4)
+# Part of the peak of a cycle above which its end counts as the peak [-].
+PEAK = 0.95
 # Friction coefficient above which a note asks for its unit: porous metal in bone has 1.5.
 MOST_FRICTION = 5.0
 # Largest usual height of a stem's shoulder above the neck cut [mm].
@@ -314,12 +316,31 @@ def _doubtful_loads(case: Case) -> Iterable[Verdict]:
         message = "the cycle begins in the first stage, so that all loads act in the first step"
         remedy = "put a stage before it in which the loads grow: stages: [{name: rise}, ...]"
         yield note(message, f"loads.{tables[0]}.cycle_table", remedy)
+    yield from _doubtful_cycles(case)
     for name, motion in case.motions.items():
         columns = motion.cycle.columns if motion.cycle else {}
         largest = max((abs(a) for r in ROTATIONS for a in columns.get(r, ())), default=0.0)
         if 0.0 < largest < math.radians(0.5):
             message = "all angles are below 0.5 degrees; are they in radians?"
             yield note(message, f"motions.{name}.rotation.cycle_table")
+
+
+def _doubtful_cycles(case: Case) -> Iterable[Verdict]:
+    """Notes on cycles of forces that end below their peak, and on forces that do not follow."""
+    sizes_of = {name: load.cycle_sizes for name, load in case.loads.items() if load.cycle_sizes}
+    for name, sizes in sizes_of.items():
+        last, peak = sizes[-1], max(sizes)
+        if last < PEAK * peak:
+            message = (
+                f"the force ends at {100 * last / peak:.0f} % of its peak, and the numbers of a run"
+                " are those at the end"
+            )
+            remedy = "begin and end the table at the peak"
+            yield note(message, f"loads.{name}.cycle_table", remedy)
+    constant = [n for n, load in case.loads.items() if load.resultant and not load.cycle_sizes]
+    if sizes_of and constant and case.geometry.has_gruen_zones:
+        message = f"{', '.join(sizes_of)} follows a cycle, but {', '.join(constant)} stay constant"
+        yield note(message, "loads", "give the muscles cycle tables, too, or leave them out")
 
 
 def _without_effect(case: Case) -> Iterable[Verdict]:

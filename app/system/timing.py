@@ -21,9 +21,10 @@ DOING = {
     "solve": "solving",
     "output": "computing and writing results",
     "error": "estimating errors",
+    "influence": "solving coarser models with other bone",
 }
 # Long phases that occur once; the others are logged at the level of debugging.
-ANNOUNCED = ("mesh", "assemble", "factorize", "error")
+ANNOUNCED = ("mesh", "assemble", "factorize", "error", "influence")
 
 
 @dataclass

@@ -78,3 +78,14 @@ def test_hips_heights_on_the_stem_begin_at_its_tip() -> None:
     assert not geometry.on_flanks(tip)[0]
     assert not geometry.on_flanks(2 * shoulder - tip)[0]
     assert geometry.on_flanks(0.5 * (tip + shoulder))[0]
+
+
+@pytest.mark.parametrize(("zone", "is_refused"), [("above: 300 mm", True), ("above: 30 mm", False)])
+def test_hips_refuse_zones_that_cover_nothing_of_the_stem(zone: str, is_refused: bool) -> None:
+    """A coating from 300 mm on a stem of 147 mm is a typing error."""
+    option = f"interfaces.stem_bone.zones={{coated: {{{zone}}}}}"
+    if is_refused:
+        (line,) = refused(option, path=CONFIGS / "pressed.yaml")
+        assert "zones.coated: covers nothing of the stem; expected heights from 0 to 147 mm" in line
+    else:
+        load(CONFIGS / "pressed.yaml", (option,))

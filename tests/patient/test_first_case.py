@@ -14,6 +14,7 @@ from app.case import case as case_file
 from app.foundation.errors import InputError
 from app.patient import first_case
 from app.patient.geometry import Patient
+from app.soundness.preview import warnings
 from meshes import femur_bone
 from meshes.plane_sections import centroid
 from tests.patient.scans import HIP, NUMBERS, in_patient, scan
@@ -81,6 +82,30 @@ def test_first_case_refuses_a_ct_of_another_place(tmp_path: Path) -> None:
     # The key `axes` belongs to the image of a modulus, not to `mantle init`.
     assert "outside the image, such as" in str(caught.value) and "`axes`" not in str(caught.value)
     assert not (folder / "hip.yaml").exists()
+
+
+def test_first_case_notes_a_ct_that_is_mirrored(tmp_path: Path) -> None:
+    """Its grid contains the femur, but its cortex is beside that of the labels."""
+    folder = scan(tmp_path, 120.0, edges=(1.5, 1.5, 1.5))
+    image = nibabel.load(folder / "ct.nii.gz")
+    mirrored = np.asarray(image.dataobj)[::-1]
+    nibabel.Nifti1Image(mirrored, image.affine).to_filename(folder / "mirrored.nii.gz")
+    labels = folder / "labels.nii.gz"
+    path, assumed = first_case.write(folder / "hip", labels, folder / "mirrored.nii.gz", None, None)
+    assert "mirrored.nii.gz: only" in assumed[-1] and "mirrored or moved" in assumed[-1]
+    notes = [v.what for v in warnings(case_file.load(path).config)]
+    assert any("mirrored or moved" in note for note in notes)
+
+
+def test_first_case_refuses_a_side_that_the_bone_has_not(tmp_path: Path) -> None:
+    """The label has no name, so that the lesser trochanter decides."""
+    folder = scan(tmp_path, 150.0, edges=(1.5, 1.5, 1.5))
+    image = nibabel.load(folder / "labels.nii.gz")
+    one = (np.asarray(image.dataobj) == NUMBERS["left"]).astype(np.uint8)
+    nibabel.Nifti1Image(one, image.affine).to_filename(folder / "one.nii.gz")
+    with pytest.raises(InputError, match="lesser trochanter"):
+        first_case.write(folder / "hip", folder / "one.nii.gz", None, "right", "1")
+    first_case.write(folder / "hip", folder / "one.nii.gz", None, "left", "1")
 
 
 def test_first_case_refuses_a_label_of_two_femora(tmp_path: Path) -> None:

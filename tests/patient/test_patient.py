@@ -21,11 +21,14 @@ from app.foundation.errors import GeometryError
 from app.patient import bone_surface
 from app.patient.bone_surface import BoneSurface
 from app.patient.geometry import Patient
+from app.soundness import preview
 from meshes import _make, femur_bone, femur_stem, quality
 from meshes.data import interface_facets, region_volumes
 from meshes.femur_bone import CORTEX_LEFT
 from meshes.gruen import Zones
 from meshes.layered_surfaces import LEAST_MANTLE, LayeredSurfaces
+from meshes.placement import lengthening
+from tests import support
 from tests.meshes import cad_stems
 from tests.patient.bones import (
     LINES,
@@ -447,3 +450,14 @@ def test_patient_places_in_an_image_are_inside_the_bone(folder: Path) -> None:
         assert np.hypot(*mapped[:, :2].T) == pytest.approx(tube.radius(angle, z) - least, abs=0.3)
         moved_ = there.in_file(there.femur.frame.to_model(x @ turn.T + shift), 1.5)
         assert moved_ == pytest.approx(mapped @ turn.T + shift, abs=0.05)
+
+
+@pytest.mark.parametrize(("height", "noted"), [("25 mm", False), ("30 mm", True)])
+def test_patient_leg_length_is_noted(folder: Path, height: str, noted: bool) -> None:
+    """The head of the stem against that of the bone, along the shaft."""
+    geometry = patient(folder, stem={"head_height": height}, canal={"ream": "broach"})
+    case = support.case("base: stance").model_copy(update={"geometry": geometry})
+    longer = lengthening(geometry)
+    notes = [v.what for v in preview.warnings(case) if "the leg becomes" in v.what]
+    assert (abs(longer) > 10.0) == noted
+    assert notes == ([f"the leg becomes {longer:.0f} mm longer"] if noted else [])

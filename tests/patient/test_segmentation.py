@@ -62,6 +62,8 @@ def test_segmentation_femur_by_name(tmp_path: Path) -> None:
         ((51, 77), None, None, "no label is named femur; its labels are .*Give --label"),
         ((75, 76), None, None, "has 2 femora: .*choose one with --side left or --side right"),
         ((1, 2), None, "3", "--label 3: .* has no such label; it has"),
+        ((75, 51), "right", None, "--side right: the femur is femur_left"),
+        ((75, 76), "right", "75", "--side right: the femur is femur_left"),
     ],
 )
 def test_segmentation_refuses_no_femur_and_two(

@@ -165,7 +165,7 @@ def test_shaft_canal_below_a_wide_metaphysis_is_that_of_a_shaft(
 
 
 @pytest.mark.parametrize("below", [None, 76.0])
-def test_canal_by_ratios_has_a_given_isthmus(tmp_path: Path, below: float | None) -> None:
+def test_shaft_canal_by_ratios_has_a_given_isthmus(tmp_path: Path, below: float | None) -> None:
     """By default it is as wide as the parametric one, on a whole bone and on a scan of it."""
     surface = parametric_femur()
     write(tmp_path / "bone.stl", surface if below is None else below_head(surface, below))

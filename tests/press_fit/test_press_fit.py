@@ -156,7 +156,9 @@ def test_press_fit_raises_a_collar() -> None:
     }
     (verdict,) = _raised_collar(summary)
     assert "raises the stem by 15.8 um" in verdict.what and "-0.016 mm" in verdict.cure
-    summary["interfaces"]["collar_bone"]["insertion_pressure_max"] = 2.0
+    summary["interfaces"]["collar_bone"]["gap_mean"] = 1.0  # it was not meant to rest
+    assert not [*_raised_collar(summary)]
+    summary["interfaces"]["collar_bone"] = {"insertion_pressure_max": 2.0}
     assert not [*_raised_collar(summary)]
 
 

@@ -54,6 +54,8 @@ def test_verdicts_on_pressure_by_facets() -> None:
     words, tone = judged(numbers)["pressure"]
     assert words.startswith("the maximum on stem_cement, 9.00 ± 9.00 MPa, depends on the facets")
     assert "may cause up to 4.00 MPa" in words and tone == "warning"
+    numbers["interfaces"]["stem_cement"]["pressure_by_facets"] = 14.0  # more than there is
+    assert "may cause all of it" in judged(numbers)["pressure"][0]
 
 
 def test_verdicts_on_singular_pressure() -> None:

@@ -51,6 +51,27 @@ def test_preview_notes_an_insertion_far_out_of_the_bone(depth: float, noted: boo
     assert len(notes) == noted and all(n.startswith(text) for n in notes)
 
 
+@pytest.mark.parametrize(
+    ("first", "last", "end"), [(100, 100, None), (0, 0, "0 %"), (100, 90, "90 %")]
+)
+def test_preview_notes_cycles_that_end_below_their_peak(
+    first: int, last: int, end: str | None
+) -> None:
+    """The numbers of a run are those at the end. Muscles that stay constant are noted, too."""
+    rows = ["time [s], factor [%]", f"0, {first}", "0.5, 100", f"1, {last}"]
+    changes = {
+        "loads.hip.history": None,
+        "loads.hip.cycle_table": rows,
+        "stages": [{"name": "rise"}, {"name": "walk"}],
+    }
+    notes = texts(mantle.load(CONFIGS / "stance.yaml", **changes).config)
+    ends = [note for note in notes if "of its peak" in note]
+    assert len(ends) == (end is not None)
+    assert all(f"loads.hip.cycle_table: the force ends at {end} of its peak" in n for n in ends)
+    (constant,) = [note for note in notes if "stay constant" in note]
+    assert constant.startswith("loads: hip follows a cycle, but gluteus_medius_anterior")
+
+
 def test_preview_notes_conductance_across_open_contact() -> None:
     """One that falls is not, nor one of a bond, nor one where nothing moves."""
 
