@@ -45,6 +45,8 @@ SIZES = (8.0, 6.0, 4.0)
 # Mesh of the reference. Its number of lines around, no multiple of 4, does not put them on the ends
 # of the stem's arcs, where those of the judged meshes are.
 REFERENCE = {"mesh.size": "3.2 mm", "mesh.around": "57", "output.error": "false"}
+# With 57 lines the tractions of this hip are 6 % below those with 48 and 64, which agree to 1 %.
+OTHER_REFERENCES = {"wide": {"mesh.around": "64"}}
 CLASSES = {
     ORDER_OF_MOTION: "motions",
     ORDER_OF_SLIP: "slips",
@@ -279,7 +281,8 @@ def case_of(folder: Path, hip: str, mesh: str) -> Case:
     if hip in HEAT_SCENES:
         changed = heat_options(hip, mesh, float(HEAT_REFERENCE_SIZE if mesh == "truth" else size))
     elif mesh == "truth":
-        changed = [f"{k}={v}" for k, v in REFERENCE.items()]
+        options = REFERENCE | OTHER_REFERENCES.get(hip, {})
+        changed = [f"{k}={v}" for k, v in options.items()]
     else:
         changed = [f"mesh.size={size} mm", f"mesh.order={order or 2}", "output.error=true"]
     case = load(folder / f"{hip}.yaml", changed).config
