@@ -1,7 +1,7 @@
 """Load, check, mesh, run and read a case: the functions of `mantle`, and of its command line.
 
-Only `stack_needed` starts MPI and PETSc. What needs them is imported below it, as a process that
-starts ranks (``mantle run -n``) has to do without, and ``mantle check`` need not wait.
+Modules that need MPI or PETSc are imported inside `stack_needed` alone. A process that starts ranks
+(``mantle run -n``) must not start MPI, and ``mantle check`` starts fast.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def run(
             Without it, finished results of the same configuration are kept.
         restart: Continue from a checkpoint: ``auto`` for the newest in the folder, or a file.
         walltime: Wall time before whose end the state is saved and the run stops [s].
-        signals: Handle signals: save the state and stop. Option files of PETSc are ignored.
+        signals: On a signal, save the state and stop.
         petsc_options: Raw options, as after ``--`` on the command line.
 
     Returns:
@@ -144,7 +144,8 @@ def run(
         InputError: The case has an error, or the folder is not empty.
         GeometryError: The case cannot be meshed.
         ConvergenceError: The run did not converge; the last converged state is in the folder.
-        UnusableError: Solved, but the numbers are not to be used; everything is in the folder.
+        UnusableError: The run ended, but a check failed: do not use its numbers. They are in the
+            folder.
         StoppedError: By a signal, ``walltime`` or a full disk; the state is saved in the folder.
         EnvironmentProblem: A package, a compiler or MPI is missing or unusable.
     """
@@ -204,7 +205,7 @@ def read(folder: str | os.PathLike[str]) -> Results:
 
 
 def _refuse_path(case: object) -> None:
-    """Name `load` to those who give the path of a case."""
+    """Refuse a path; the message names `load`."""
     if isinstance(case, str | os.PathLike):
         raise InputError(f"expected a case, not its path; use mantle.load({str(case)!r})")
 

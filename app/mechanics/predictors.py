@@ -33,11 +33,11 @@ STATES_PER_RUN = 20
 # Friction coefficient below which an interface counts as frictionless.
 SMALLEST_FRICTION = 1e-3
 
-# Unknowns of a converged state and its causes, on this rank: nodal forces of loads, supports and
+# Unknowns of a converged state and its inputs, on this rank: nodal forces of loads, supports and
 # free strains [N], initial gaps at the contact points [mm], and the logarithm of the friction
 # coefficient of each interface (on rank 0 alone).
-Causes = tuple[Floats, Floats, Floats]
-Neighbour = tuple[PETSc.Vec, Causes]
+Inputs = tuple[Floats, Floats, Floats]
+StateWithInputs = tuple[PETSc.Vec, Inputs]
 
 
 class Predictor(Protocol):
@@ -56,8 +56,9 @@ class Predictor(Protocol):
 class Extrapolation:
     """Line through the last two states.
 
-    Where loads reverse or a stage begins, the start is on the line through the states one and two
-    cycles before, or the best state in the span of all. The latter is exact if the loads of two
+    Where loads reverse or a stage begins, the start is on the line through the states two and four
+    steps before. They are one and two cycles before if a cycle has two steps. If this is no
+    better, the start is the best state in the span of all. It is exact if the loads of two
     stages are proportional: one Newton iteration instead of eight.
 
     Without extrapolation sliding_block.yaml takes 306 Newton iterations instead of 79,
@@ -103,8 +104,8 @@ def least_residual_mixture(
 ) -> PETSc.Vec:
     r"""State of least linearized residual in the span of a state and others; collective.
 
-    With x the state and d_i the differences of the others from it, it is x + sum s_i d_i with the
-    s_i of
+    With the state x and the others x_i it is x + sum s_i d_i, where d_i = x - x_i, and the s_i are
+    those of
 
     .. math:: |R(x) + \sum_i s_i (R(x + d_i) - R(x))| = \min.
     """
@@ -122,7 +123,7 @@ def least_residual_mixture(
 def use_if_better(solver: Solver, x: PETSc.Vec) -> bool:
     """Set the solver to x, supports imposed, if its residual is smaller; collective."""
     if not imbalance(solver, x) < imbalance(solver, solver.x.copy()):
-        return False  # nor is a state that is no number
+        return False  # a residual of NaN is not smaller
     x.copy(solver.x)
     return True
 
@@ -140,14 +141,14 @@ def are_equal(a: PETSc.Vec, b: PETSc.Vec) -> bool:
 class WarmStart:
     """Initial guesses from states of other runs with the same unknowns.
 
-    It is the scaled state whose causes are nearest. Without it variations.yaml takes 70 Newton
-    iterations instead of 39, and twice the time of solution.
+    The start is the scaled state of another run whose loads, gaps and friction are nearest. Without
+    it variations.yaml takes 70 Newton iterations instead of 39, and twice the time of solution.
     """
 
     def __init__(self, problem: Problem, solver: Solver) -> None:
         self._problem, self._solver = problem, solver
-        self._earlier_runs: list[dict[float, Neighbour]] = []
-        self._states_of_run: dict[float, Neighbour] = {}
+        self._earlier_runs: list[dict[float, StateWithInputs]] = []
+        self._states_of_run: dict[float, StateWithInputs] = {}
         self._used_start: PETSc.Vec | None = None
         # Whether a state of this run is no multiple of others.
         self._is_new = False
@@ -161,19 +162,19 @@ class WarmStart:
     def predict(self, time: float) -> None:
         """Start from the nearest state of another run, if better."""
         self._used_start = None
-        causes = self._state()[1]
-        forces, gaps, _ = self._inner_products(causes, causes)
-        sizes = np.array([forces or 1.0, gaps or 1.0, 1.0])
+        inputs = self._state()[1]
+        forces, gaps, _ = self._inner_products(inputs, inputs)
+        square_norms = np.array([forces or 1.0, gaps or 1.0, 1.0])
         # Runs in other load steps have states at other times.
         candidates = [
             state
             for states in self._earlier_runs
             for state in ([states[time]] if time in states else states.values())
         ]
-        scaled = [self._scaled(state, causes, sizes) for state in candidates]
+        scaled = [self._scaled(state, inputs, square_norms) for state in candidates]
         if not scaled:
             return
-        nearest = min(scaled, key=lambda state: self._distance(state[1], causes, sizes))[0]
+        nearest = min(scaled, key=lambda state: self._distance(state[1], inputs, square_norms))[0]
         if use_if_better(self._solver, nearest):
             self._used_start = nearest.copy()
 
@@ -186,29 +187,31 @@ class WarmStart:
             self._is_new or self._used_start is None or not are_equal(self._used_start, state[0])
         )
 
-    def _state(self) -> Neighbour:
+    def _state(self) -> StateWithInputs:
         problem = self._problem
         contacts = problem.scene.contacts if problem.comm.rank == 0 else ()
         friction = np.log([max(c.law.friction, SMALLEST_FRICTION) for c in contacts])
         gaps = problem.contact.gap.ravel() if problem.contact else np.zeros(0)
         return self._solver.x.copy(), (problem.f.array.copy(), gaps, friction)
 
-    def _scaled(self, state: Neighbour, target: Causes, sizes: Floats) -> Neighbour:
+    def _scaled(
+        self, state: StateWithInputs, target: Inputs, square_norms: Floats
+    ) -> StateWithInputs:
         """State scaled so that its loads and gaps are nearest to the current ones."""
-        x, causes = state
+        x, inputs = state
         square, product = (
-            float((self._inner_products(causes, vector) / sizes)[:2].sum())
-            for vector in (causes, target)
+            float((self._inner_products(inputs, vector) / square_norms)[:2].sum())
+            for vector in (inputs, target)
         )
         factor = product / square if square > 0 and product > 0 else 1.0
-        forces, gaps, friction = causes
+        forces, gaps, friction = inputs
         return x * factor, (factor * forces, factor * gaps, friction)
 
-    def _distance(self, a: Causes, b: Causes, sizes: Floats) -> float:
+    def _distance(self, a: Inputs, b: Inputs, square_norms: Floats) -> float:
         differences = [p - q for p, q in zip(a, b, strict=True)]
-        return float(np.sqrt((self._inner_products(differences, differences) / sizes).sum()))
+        return float(np.sqrt((self._inner_products(differences, differences) / square_norms).sum()))
 
     def _inner_products(self, a: Sequence[Floats], b: Sequence[Floats]) -> Floats:
-        """Products of the causes of two states, one by one; collective."""
+        """Products of the inputs of two states, one by one; collective."""
         local = np.array([float(p @ q) for p, q in zip(a, b, strict=True)])
         return np.asarray(self._problem.comm.allreduce(local, MPI.SUM))

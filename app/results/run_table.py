@@ -143,7 +143,7 @@ def text(rows: Sequence[RunRow]) -> str:
         result = most_informative(r["numbers"]) if r["status"] == "converged" else r["status"]
         lines.append((r["name"], *counts, layout.duration(r["seconds"]), result))
     return layout.table(
-        ("case", "unknowns", "Newton", "Krylov", "time", "largest motion or temperature"), lines
+        ("case", "unknowns", "Newton", "Krylov", "time", "largest slip or temperature"), lines
     )
 
 

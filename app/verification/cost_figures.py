@@ -19,9 +19,9 @@ from app.verification.problem import Comparison, ProblemRun, solution
 # Mesh sizes of the femur, by about how many unknowns they give at first order.
 RUNGS = {"20k": "2.8 mm", "100k": "2.4 mm", "170k": "1.3 mm", "1m": "1 mm"}
 LONG = "1m"  # the rung for the tier "long" alone
-TIMES = 3  # of which the median is taken, where that is cheap
+REPEATS = 3  # runs per median on small meshes
 CHEAP = ("20k", "50k", "100k")
-# Where bonded interfaces are so cheap that contact may take twice as long.
+# Meshes on which contact may take twice the time of bonded interfaces.
 SMALL = ("20k", "50k")
 FEMUR = "stance.yaml"
 STANCE = ("output.error=false", "stages.0.increments=1")
@@ -64,14 +64,14 @@ def femur(kind: str, rung: str) -> ProblemRun:
     """The femur at first order, its interfaces in contact or bonded."""
     laws = BONDED if kind == "bonded" else ()
     overrides = ("mesh.order=1", *STANCE, *laws, f"mesh.size={RUNGS[rung]}")
-    return ProblemRun(FEMUR, overrides, times=TIMES if rung in CHEAP else 1)
+    return ProblemRun(FEMUR, overrides, times=REPEATS if rung in CHEAP else 1)
 
 
 def cemented_stem(rung: str, overrides: Sequence[str]) -> ProblemRun:
     """The stem on a mesh of one size."""
     size = STEM_RUNGS[rung]
     sizes = (f"mesh.size={size}", f"mesh.far_size={size}")
-    return ProblemRun(STEM, (*overrides, *sizes), times=TIMES if rung in CHEAP else 1)
+    return ProblemRun(STEM, (*overrides, *sizes), times=REPEATS if rung in CHEAP else 1)
 
 
 def varied(first: ProblemRun) -> list[ProblemRun]:
@@ -159,9 +159,11 @@ def later_steps(run: Run, *, setup: bool = False) -> Comparison:
 def equal_error(runs: Sequence[Run]) -> Comparison:
     """Time of a run over that of others at the same error of slip_p99 against a reference.
 
-    Runs: the one, the reference, the others. Interpolated by a straight line in logarithms. Where
-    none of the others is as good, the finest is taken: a run as good takes longer, so the ratio is
-    smaller.
+    The time is interpolated by a straight line in logarithms. Where none of the others is as good,
+    the finest is taken: a run as good takes longer, so the ratio is smaller.
+
+    Args:
+        runs: The run, the reference, then the others by size.
     """
     second_order, reference, *first_order_runs = runs
     run_of_size = {unknowns(run): run for run in reversed(first_order_runs)}

@@ -42,18 +42,18 @@ def slice_of(size: float) -> tuple[str, ...]:
 # Numbers
 
 
-def number(run: Run, name: str, reference: float) -> Comparison:
+def summary_number(run: Run, name: str, reference: float) -> Comparison:
     """A number of the summary, named as in studies."""
     value = quantities.read(run.summary, name)
     return relative(math.nan if value is None else value, reference)
 
 
-def largest(errors: Mapping[str, float]) -> Comparison:
-    """The largest of errors by what they are of."""
+def largest_error(errors: Mapping[str, float]) -> Comparison:
+    """The largest of named errors, with its name."""
     return worst([Comparison(error, note=quantity) for quantity, error in errors.items()])
 
 
-def off(values: Floats, reference: Floats, scale: float | None = None) -> float:
+def largest_difference(values: Floats, reference: Floats, scale: float | None = None) -> float:
     """Largest difference over the largest value of the reference, or absolute if that is zero."""
     size = float(np.abs(reference).max(initial=0.0)) if scale is None else scale
     return float(np.abs(values - reference).max(initial=0.0)) / (size or 1.0)
@@ -95,7 +95,7 @@ def in_l2(run: Run, fields: Sequence[Field]) -> Comparison:
 def _partners(run: Run, points: Floats, other: Run) -> NDArray[np.int64]:
     """Node of another run at each point (n, 3) of the same region; ValueError if meshes differ."""
     if np.array_equal(points, other.points) and np.array_equal(run.region, other.region):
-        return np.arange(len(points))  # two regions may have as many cells as each other
+        return np.arange(len(points))  # two regions may have equally many cells
 
     def labelled(r: Run, x: Floats) -> Floats:
         # The two sides of an interface are at one place and in different regions, which a mesh
@@ -111,7 +111,7 @@ def _partners(run: Run, points: Floats, other: Run) -> NDArray[np.int64]:
     return np.asarray(nodes, dtype=np.int64)
 
 
-def same(
+def difference_between(
     run: Run,
     other: Run,
     *,
@@ -132,7 +132,7 @@ def same(
     errors = {}
     for step, time in enumerate(run.times):
         u = other.displacement(step)[k] @ R.T * lengths
-        errors[f"displacement at time {time:g}"] = off(run.displacement(step), u)
+        errors[f"displacement at time {time:g}"] = largest_difference(run.displacement(step), u)
         for name in run.contacts:
             pressure = other.at_interface(name, "pressure", step)[k] * stresses
             shear = other.at_interface(name, "shear", step)[k] * stresses
@@ -148,8 +148,10 @@ def same(
             fields["gap"] = (gap[k], jump)
             for quantity, (reference, scale) in fields.items():
                 value = run.at_interface(name, quantity, step)
-                errors[f"{quantity} of {name} at time {time:g}"] = off(value, reference, scale)
-    return largest(errors)
+                errors[f"{quantity} of {name} at time {time:g}"] = largest_difference(
+                    value, reference, scale
+                )
+    return largest_error(errors)
 
 
 def law_of(run: Run, name: str) -> InterfaceLaw:
@@ -157,8 +159,8 @@ def law_of(run: Run, name: str) -> InterfaceLaw:
     return load(run.folder / "case.yaml").config.interfaces[name]
 
 
-def lawful(run: Run) -> Comparison:
-    """Balance, no tension, no penetration, no more friction than Coulomb's, none created."""
+def law_violation(run: Run) -> Comparison:
+    """Largest violation of balances, of the contact and friction law; energy that is created."""
     errors = {f"balance of {key}": abs(value) for key, value in run.summary["balance"].items()}
     interfaces = run.summary["interfaces"]
     largest_displacement = float(np.abs(run.displacement()).max())
@@ -179,17 +181,17 @@ def lawful(run: Run) -> Comparison:
             errors[f"penetration of {name}"] = q["penetration_max"] / largest_displacement
         dissipation = abs(q["dissipation"]) or 1.0
         errors[f"friction of {name} that drives"] = max(0.0, -q["dissipation_min"]) / dissipation
-    largest_error = largest(errors)
+    violation = largest_error(errors)
     limits = {name: q.get("critical_friction", np.inf) for name, q in interfaces.items()}
     above_critical = ", ".join(
         n for n, critical in limits.items() if law_of(run, n).friction > critical
     )
     if not above_critical:
-        return largest_error
+        return violation
     if Reason.NOT_UNIQUE not in Reason.within(run.log):
         message = f"friction beyond the critical one of {above_critical} and no warning"
         return Comparison(np.inf, note=message)
     return Comparison(
-        largest_error.error,
-        note=f"{largest_error.note}; warns that {above_critical} may have several solutions",
+        violation.error,
+        note=f"{violation.note}; warns that {above_critical} may have several solutions",
     )

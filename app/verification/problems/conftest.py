@@ -12,7 +12,7 @@ from dataclasses import replace
 import pytest
 
 from app import rooms  # noqa: F401  (registers keys that problems have)
-from app.verification.measures import same
+from app.verification.measures import difference_between
 from app.verification.problem import (
     SUITES,
     KnownProblem,
@@ -99,7 +99,7 @@ def _condensed(item: pytest.Function) -> list[pytest.Function]:
             replace(first_run, overrides=(*first_run.overrides, f"solver.linear={linear_solver}"))
             for linear_solver in ("condensed", "direct")
         ]
-        problem.compare(same(*problem.solve_all(both_ways)))
+        problem.compare(difference_between(*problem.solve_all(both_ways)))
 
     name = f"test_condensed[{name_of(item)}]"
     return [pytest.Function.from_parent(item.parent, name=name, callobj=solvers)]

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from app.verification.measures import number
+from app.verification.measures import summary_number
 from app.verification.problem import Comparison, KnownProblem, verify
 
 BENDING = "verification/bending.yaml"
@@ -32,7 +32,7 @@ def compare_risk(
     """Solve the bar for a shape m and compare its risk."""
     problem.expects(f"{RISK}, relative", tolerance=tolerance, source=WEIBULL)
     solved = problem.solve(BENDING, f"regions.bar.weibull.shape={m}", *changes)
-    problem.compare(number(solved, RISK, exact))
+    problem.compare(summary_number(solved, RISK, exact))
 
 
 def bent(m: float) -> float:
@@ -123,4 +123,4 @@ def test_miner(problem: KnownProblem, name: str, law: str) -> None:
     stairs, changes = SPECTRA[name]
     solved = problem.solve("verification/spectrum.yaml", *changes)
     damage = sum(n / LAWS[law](stress) for n, stress in (*FROM_ZERO, stairs))
-    problem.compare(number(solved, damage_name, damage))
+    problem.compare(summary_number(solved, damage_name, damage))

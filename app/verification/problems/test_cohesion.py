@@ -12,7 +12,7 @@ import pytest
 
 from app.foundation.arrays import Floats
 from app.results.reading import Run
-from app.verification.measures import number
+from app.verification.measures import summary_number
 from app.verification.problem import (
     Comparison,
     KnownProblem,
@@ -25,7 +25,7 @@ from app.verification.problem import (
 
 BAR = "verification/cohesive_bar.yaml"
 BEAMS = "verification/cohesive_beams.yaml"
-SOFTENING = "linear softening: traction on the quadric of strengths, shrunk by the energy used"
+SOFTENING = "linear softening: traction on the ellipse of strengths, shrunk by the energy used"
 
 # Of cohesive_bar.yaml: strengths, fracture energies, exponent of the mixture, area, stiffness.
 TENSILE = 10.0
@@ -47,17 +47,17 @@ def column(run: Run, name: str) -> Floats:
     return np.asarray(run.step_record[f"lower_upper {name}"])
 
 
-def breaks(
+def softening_error(
     run: Run, *, mixture: float = 0.0, strength: float = TENSILE, whole: float = G_I
 ) -> Comparison:
-    """A point led to its end in one direction: what it has used up, and its traction on the way.
+    """Largest error of traction and spent energy while a point is pulled apart in one direction.
 
-    With linear softening the traction is on the quadric of the strengths, shrunk by the part of the
+    With linear softening the traction is on the ellipse of the strengths, shrunk by the part of the
     energy that is used up. Strength and energy are those in tension.
     """
     spent_fraction = column(run, "dissipation [N mm]") / (whole / G_I * energy(mixture) * AREA)
-    pull = np.maximum(-column(run, "pressure_p95 [MPa]"), 0)  # a sheared block tips and presses
-    traction_ratio = np.hypot(pull / strength, column(run, "shear_p95 [MPa]") / SHEAR)
+    tension = np.maximum(-column(run, "pressure_p95 [MPa]"), 0)  # a sheared block tips and presses
+    traction_ratio = np.hypot(tension / strength, column(run, "shear_p95 [MPa]") / SHEAR)
     softens = (spent_fraction > 0) & (spent_fraction < 1 - 1e-9)
     largest_defect = float(np.abs(traction_ratio + spent_fraction - 1)[softens].max(initial=0.0))
     solver = run.summary["solver"]
@@ -95,13 +95,13 @@ def test_cohesive_bar(problem: KnownProblem) -> None:
         tolerance=1e-6,
         source=SOFTENING,
     )
-    problem.compare(breaks(problem.solve(BAR)))
+    problem.compare(softening_error(problem.solve(BAR)))
 
 
 @verify
 def test_cohesive_mixtures(problem: KnownProblem) -> None:
     problem.expects(
-        "the same of a point in five mixtures of modes",
+        "traction and energy of a point in five mixtures of modes",
         tolerance=1e-3,
         source=f"{SOFTENING}; Benzeggagh and Kenane 1996",
     )
@@ -110,7 +110,7 @@ def test_cohesive_mixtures(problem: KnownProblem) -> None:
     pulls = [pull(0.4 * math.sin(a), 0.4 * math.cos(a)) for a in angles]
     runs = problem.solve_each(BAR, [(*smooth, one) for one in pulls])
     mixtures = [math.sin(a) ** 2 for a in angles]
-    problem.compare(*(breaks(r, mixture=m) for r, m in zip(runs, mixtures, strict=True)))
+    problem.compare(*(softening_error(r, mixture=m) for r, m in zip(runs, mixtures, strict=True)))
 
 
 @verify
@@ -145,7 +145,9 @@ def test_cohesive_pressed(problem: KnownProblem) -> None:
         source="springs in series",
     )
     solved = problem.solve(BAR, *SHORT, pull(0, -0.4))
-    problem.compare(number(solved, "lower_upper.pressure_mean", 0.4 / (1 / STIFFNESS + 4 / 2000)))
+    problem.compare(
+        summary_number(solved, "lower_upper.pressure_mean", 0.4 / (1 / STIFFNESS + 4 / 2000))
+    )
 
 
 @verify
@@ -259,7 +261,7 @@ def compare_bar(
         f"supports.pull.z={end!r} mm",
         f"stages.0.fracture_step={AREA * energy / steps!r} N mm",
     )
-    problem.compare(breaks(solved, strength=strength, whole=energy))
+    problem.compare(softening_error(solved, strength=strength, whole=energy))
 
 
 @stress

@@ -8,7 +8,14 @@ import pytest
 from app.foundation.verdict import Reason
 from app.results.reading import Run
 from app.verification import closed_forms as exact
-from app.verification.measures import CEMENT, MESH, lawful, number, step_at, work_lost
+from app.verification.measures import (
+    CEMENT,
+    MESH,
+    law_violation,
+    step_at,
+    summary_number,
+    work_lost,
+)
 from app.verification.problem import (
     Comparison,
     KnownProblem,
@@ -66,7 +73,7 @@ def test_hertz(problem: KnownProblem, kind: str, name: str) -> None:
     solved = problem.solve(f"verification/hertz_{kind}.yaml", *FINE)
     exact_contact = HERTZ[kind]
     if name == "pressure":
-        problem.compare(number(solved, "contact.pressure_max", exact_contact.p0))
+        problem.compare(summary_number(solved, "contact.pressure_max", exact_contact.p0))
     elif name == "width":
         pressed = solved.at_interface("contact", "pressure") > 0
         problem.compare(width(solved, pressed, exact_contact.a, WIDE[kind]))
@@ -292,7 +299,7 @@ def test_friction_stem(problem: KnownProblem, μ: float) -> None:
     )
     sides = ("stem_cement", "cement_bone")
     laws = (f"interfaces.{side}.friction_coefficient={μ}" for side in sides)
-    problem.compare(lawful(problem.solve(STEM, *laws)))
+    problem.compare(law_violation(problem.solve(STEM, *laws)))
 
 
 # A taper of 5 degrees, held by friction from 0.0875 on
@@ -325,7 +332,7 @@ def compare_wedge(problem: KnownProblem, friction: float, left: float) -> None:
         error = abs(100 * left / (now * (s - friction * c)) - 1)
         problem.compare(Comparison(max(into, error), note=f"{note}, sliding out by {error:.1e}"))
     elif now > 0.1 * pushed:
-        problem.compare(Comparison(lawful(solved).error, note=f"held; {note}"))
+        problem.compare(Comparison(law_violation(solved).error, note=f"held; {note}"))
     else:
         problem.compare(Comparison(np.inf, note=f"held; {note}"))
 

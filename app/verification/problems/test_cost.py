@@ -47,7 +47,7 @@ STEM_GOALS: dict[str, tuple[str, Callable[[Run], float], float]] = {
 def test_stem(problem: KnownProblem, name: str) -> None:
     quantity, figure, limit = STEM_GOALS[name]
     goal(problem, quantity, limit)
-    runs = problem.solve_all([ProblemRun(STEM, times=figures.TIMES)])
+    runs = problem.solve_all([ProblemRun(STEM, times=figures.REPEATS)])
     if name == "penetration":
         problem.compare(Comparison(max(map(figure, runs))))
     else:
@@ -125,7 +125,7 @@ def second_order(rung: str, *overrides: str) -> ProblemRun:
     return ProblemRun(
         FEMUR,
         (f"mesh.size={figures.CONDENSED[rung]}", *figures.STANCE, *overrides),
-        times=figures.TIMES,
+        times=figures.REPEATS,
     )
 
 
@@ -188,9 +188,9 @@ def test_order_2_over_1(problem: KnownProblem) -> None:
 @bench
 def test_cure_over_conduction(problem: KnownProblem) -> None:
     goal(problem, "CPU time", 2.5)
-    cure = ProblemRun("cure.yaml", (figures.HALF_AN_HOUR,), times=figures.TIMES)
+    cure = ProblemRun("cure.yaml", (figures.HALF_AN_HOUR,), times=figures.REPEATS)
     conduction = ProblemRun(
-        "cure.yaml", (figures.HALF_AN_HOUR, *figures.CONDUCTION), times=figures.TIMES
+        "cure.yaml", (figures.HALF_AN_HOUR, *figures.CONDUCTION), times=figures.REPEATS
     )
     problem.compare(ratio(problem.solve_all([cure, conduction])))
 

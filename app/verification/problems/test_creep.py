@@ -9,7 +9,7 @@ import pytest
 
 from app.verification import closed_forms_long_term as exact
 from app.verification.closed_forms_long_term import CEMENT, SUBSIDENCE, E
-from app.verification.measures import number
+from app.verification.measures import summary_number
 from app.verification.problem import Comparison, KnownProblem, quick, relative, stress, verify
 
 BAR = "verification/creep_bar.yaml"
@@ -38,7 +38,7 @@ def test_creep_constant_stress(problem: KnownProblem) -> None:
     changes_of_runs = [("stages.0.adaptive=false", "stages.0.increments=3", fine), (fine,)]
     runs = problem.solve_each(BAR, changes_of_runs)
     reference = exact.strain(CEMENT, 5, CYCLES)
-    problem.compare(*(number(solved, STRAIN, reference) for solved in runs))
+    problem.compare(*(summary_number(solved, STRAIN, reference) for solved in runs))
 
 
 @verify
@@ -56,7 +56,7 @@ def test_creep_order(problem: KnownProblem) -> None:
     changes_of_runs = [(*held(10), norton, stage.format(round(1 / step))) for step in steps]
     runs = problem.solve_each(BAR, changes_of_runs)
     reference = (1e-3 + 3 * E * 1e-6) ** (-1 / 3)
-    problem.converges([number(solved, MISES, reference) for solved in runs])
+    problem.converges([summary_number(solved, MISES, reference) for solved in runs])
 
 
 @verify
@@ -68,7 +68,7 @@ def test_creep_relaxation(problem: KnownProblem) -> None:
         source=HARDENING,
     )
     solved = problem.solve(BAR, *held(10))
-    problem.compare(number(solved, MISES, exact.relaxed(CEMENT, 10, CYCLES)))
+    problem.compare(summary_number(solved, MISES, exact.relaxed(CEMENT, 10, CYCLES)))
 
 
 @verify
@@ -94,7 +94,7 @@ def test_creep_shrink_fit(problem: KnownProblem) -> None:
         "stages=[{name: fit, creep_time: 2 s, creep_tolerance: 2e-3}]",
     )
     reference = exact.shrink_fit(6, 10, 0.01, 0.3, 2)
-    problem.compare(number(solved, "stem_cement.pressure_mean", reference))
+    problem.compare(summary_number(solved, "stem_cement.pressure_mean", reference))
 
 
 @verify
@@ -156,7 +156,7 @@ def test_creep_first_jump(problem: KnownProblem, s: float, jump: float) -> None:
     problem.expects("creep strain after one jump, relative", tolerance=1e-3, source=POWER_LAW)
     stage = f"stages.0={{name: jump, creep_cycles: {jump}, adaptive: false, creep_tolerance: 1e-4}}"
     solved = problem.solve(BAR, f"loads.pull.pressure={-s} MPa", stage)
-    problem.compare(number(solved, STRAIN, exact.strain(CEMENT, s, jump)))
+    problem.compare(summary_number(solved, STRAIN, exact.strain(CEMENT, s, jump)))
 
 
 STRESSED = [pytest.param(s, id=f"{s:g} MPa") for s in STRESSES]
@@ -167,7 +167,7 @@ STRESSED = [pytest.param(s, id=f"{s:g} MPa") for s in STRESSES]
 def test_creep_loaded(problem: KnownProblem, s: float) -> None:
     problem.expects("creep strain under load, relative", tolerance=1e-3, source=POWER_LAW)
     solved = problem.solve(BAR, f"loads.pull.pressure={-s} MPa")
-    problem.compare(number(solved, STRAIN, exact.strain(CEMENT, s, CYCLES)))
+    problem.compare(summary_number(solved, STRAIN, exact.strain(CEMENT, s, CYCLES)))
 
 
 @stress
@@ -175,4 +175,4 @@ def test_creep_loaded(problem: KnownProblem, s: float) -> None:
 def test_creep_held(problem: KnownProblem, s: float) -> None:
     problem.expects("stress of a held bar, relative", tolerance=5e-3, source=HARDENING)
     solved = problem.solve(BAR, *held(s))
-    problem.compare(number(solved, MISES, exact.relaxed(CEMENT, s, CYCLES)))
+    problem.compare(summary_number(solved, MISES, exact.relaxed(CEMENT, s, CYCLES)))

@@ -8,7 +8,7 @@ import pytest
 
 from app.results.reading import Run
 from app.verification import closed_forms_heat as exact
-from app.verification.measures import number
+from app.verification.measures import summary_number
 from app.verification.problem import (
     Comparison,
     KnownProblem,
@@ -66,7 +66,7 @@ def test_cure(problem: KnownProblem, changes: Sequence[str], reference: float) -
         tolerance=1e-4,
         source=QUADRATURE,
     )
-    problem.compare(number(problem.solve(CASE, *changes), "cube.time_50", reference))
+    problem.compare(summary_number(problem.solve(CASE, *changes), "cube.time_50", reference))
 
 
 @verify

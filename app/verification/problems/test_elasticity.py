@@ -12,7 +12,7 @@ import pytest
 
 from app.results.reading import Run
 from app.verification import closed_forms as exact
-from app.verification.measures import BONE, WOOD, in_l2, largest, off
+from app.verification.measures import BONE, WOOD, in_l2, largest_difference, largest_error
 from app.verification.problem import (
     Comparison,
     KnownProblem,
@@ -188,12 +188,12 @@ def stack(run: Run, moduli: Sequence[float], ratios: Sequence[float]) -> Compari
     u = run.displacement()
     should = np.zeros_like(u)
     should[:, 2] = np.interp(run.points[:, 2], levels, falls)
-    errors = {"displacement": off(u, should)}
+    errors = {"displacement": largest_difference(u, should)}
     for name in run.contacts:
         on_interface = run.on_interface(name)
         pressure = run.at_interface(name, "pressure")[on_interface]
-        errors[f"pressure of {name}"] = off(pressure, np.full(on_interface.sum(), p))
-    return largest(errors)
+        errors[f"pressure of {name}"] = largest_difference(pressure, np.full(on_interface.sum(), p))
+    return largest_error(errors)
 
 
 # Soft on stiff and stiff on soft, by nine decades.

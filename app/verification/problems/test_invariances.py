@@ -12,7 +12,13 @@ from app.campaigns.work_precision import fitted_order
 from app.foundation.verdict import Reason
 from app.results.reading import Run
 from app.verification.changed_meshes import ROTATION
-from app.verification.measures import MESH, largest, lawful, off, same
+from app.verification.measures import (
+    MESH,
+    difference_between,
+    largest_difference,
+    largest_error,
+    law_violation,
+)
 from app.verification.problem import (
     Comparison,
     KnownProblem,
@@ -76,7 +82,7 @@ def test_augmentation(problem: KnownProblem, ratio: int, μ: float, factor: floa
         sorted({f"{augmentation_used[name] / default_r[name]:.3g}" for name in augmentation_used})
     )
     newton, by_default = (r.summary["solver"]["newton_iterations"] for r in (solved, default))
-    difference = same(solved, default)
+    difference = difference_between(solved, default)
     note = (
         f"asked for {factor:g} r, used {multiple} r, {newton} Newton iterations "
         f"({by_default} by default); {difference.note}"
@@ -120,7 +126,9 @@ def test_loads_stem(problem: KnownProblem, force: float) -> None:
     if force:
         problem.expects(FIELDS, tolerance=1e-10, source=LINEAR)
         solved, usual = problem.solve_each(STEM, [pushed(force), ()])
-        problem.compare(same(solved, usual, lengths=force / 900, stresses=force / 900))
+        problem.compare(
+            difference_between(solved, usual, lengths=force / 900, stresses=force / 900)
+        )
     else:
         problem.expects("displacement and pressure without load", tolerance=1e-14, source="zero")
         problem.compare(nothing_moves(problem.solve(STEM, *pushed(0.0))))
@@ -142,7 +150,7 @@ def test_loads_stem_beyond_small_displacements(problem: KnownProblem) -> None:
 def test_loads_stem_and_gaps(problem: KnownProblem, c: float) -> None:
     problem.expects(FIELDS, tolerance=1e-10, source=LINEAR)
     solved, usual = problem.solve_each(STEM, [(*gaps(c), *pushed(900 * c)), gaps(1.0)])
-    problem.compare(same(solved, usual, lengths=c, stresses=c))
+    problem.compare(difference_between(solved, usual, lengths=c, stresses=c))
 
 
 @stress
@@ -155,7 +163,9 @@ def test_loads_reversed_bar(problem: KnownProblem) -> None:
     forward, backward = (
         np.array([r.displacement(k)[:, 0] for k in range(len(r.times))]) for r in runs
     )
-    problem.compare(Comparison(off(forward, -backward), note="displacement along the load"))
+    problem.compare(
+        Comparison(largest_difference(forward, -backward), note="displacement along the load")
+    )
 
 
 @stress
@@ -190,7 +200,7 @@ OTHER_UNITS = (
 def test_units(problem: KnownProblem, words: Sequence[str]) -> None:
     """The same case in other units."""
     problem.expects(FIELDS, tolerance=1e-8, source="the same case in mm, MPa, N")
-    problem.compare(same(*problem.solve_each(STEM, [words, ()])))
+    problem.compare(difference_between(*problem.solve_each(STEM, [words, ()])))
 
 
 @stress
@@ -210,7 +220,7 @@ def test_units_numbers_of(
     moduli = {"stem": 110e3, "cement": 2200.0, "bone": 17e3}
     scaled = (f"regions.{n}.youngs_modulus={E * stresses!r} MPa" for n, E in moduli.items())
     runs = problem.solve_all([run(STEM, *scaled, mesh=mesh), run(STEM)])
-    problem.compare(same(*runs, lengths=lengths, stresses=stresses, points=lengths))
+    problem.compare(difference_between(*runs, lengths=lengths, stresses=stresses, points=lengths))
 
 
 # Unsupported bodies: refused by name
@@ -240,7 +250,7 @@ FLOATING = {
 def test_floating(problem: KnownProblem, name: str) -> None:
     reason = Reason.RIGID_CONTACT if name.startswith("rigid") else Reason.LOOSE_BODY
     description = f"a stem in its cement and bone: {name}"
-    answers = {"both open, pushed aside": lawful, "both open, no load": nothing_moves}
+    answers = {"both open, pushed aside": law_violation, "both open, no load": nothing_moves}
     if name not in answers:
         problem.expects_refusal(description, reason)
         problem.solve(STEM, *FLOATING[name])
@@ -356,7 +366,7 @@ def close(run: Run, other: Run, *, factor: float) -> Comparison:
             )
         force = run_numbers["force"][2] / (factor * other_numbers["force"][2])
         errors[f"force of {name}"] = abs(force - 1)
-    return largest(errors)
+    return largest_error(errors)
 
 
 def rotated(force: Sequence[float]) -> str:
@@ -372,4 +382,4 @@ def test_symmetry_turned(problem: KnownProblem) -> None:
     loads = {"push": (0, 0, -900), "lateral": (300, 200, 0)}
     forces = (f"loads.{name}.force={rotated(force)}" for name, force in loads.items())
     runs = problem.solve_all([run(STEM, *forces, mesh="turned"), run(STEM)])
-    problem.compare(same(*runs, turn=ROTATION))
+    problem.compare(difference_between(*runs, turn=ROTATION))

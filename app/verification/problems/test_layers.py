@@ -12,7 +12,7 @@ from app.campaigns.work_precision import fitted_order
 from app.foundation.verdict import Reason
 from app.results.reading import Run
 from app.verification import closed_forms as exact
-from app.verification.measures import lawful, number
+from app.verification.measures import law_violation, summary_number
 from app.verification.problem import (
     Comparison,
     KnownProblem,
@@ -114,7 +114,7 @@ def test_layer_stem(problem: KnownProblem, k: float) -> None:
         source="springs in series with Signorini's conditions and Coulomb's law",
         or_refusal=Reason.LARGE_DISPLACEMENT if k < 100 else None,
     )
-    problem.compare(lawful(problem.solve(STEM, LAYER.format(k))))
+    problem.compare(law_violation(problem.solve(STEM, LAYER.format(k))))
 
 
 @stress
@@ -206,7 +206,7 @@ def test_layer_series(problem: KnownProblem) -> None:
     pressures = [PRESS / (1 / k + 2 / 2200) for k in stiffnesses]
     problem.compare(
         *(
-            number(solved, "wall_bar.pressure_mean", p)
+            summary_number(solved, "wall_bar.pressure_mean", p)
             for solved, p in zip(runs, pressures, strict=True)
         )
     )
@@ -224,7 +224,7 @@ def test_layer_turned(problem: KnownProblem) -> None:
     s = math.sin(math.radians(25))
     changes = moved(c * PUSH + s * PRESS, s * PUSH - c * PRESS)
     solved = problem.solve(CASE, "geometry.tilt=25 deg", *changes)
-    problem.compare(number(solved, "wall_bar.slip_mean", SLIP))
+    problem.compare(summary_number(solved, "wall_bar.slip_mean", SLIP))
 
 
 @verify
@@ -236,4 +236,4 @@ def test_layer_corner(problem: KnownProblem) -> None:
         source="three springs at right angles",
     )
     solved = problem.solve("verification/socket.yaml")
-    problem.compare(number(solved, "socket_cube.motion_mean", 0.01 * math.sqrt(3)))
+    problem.compare(summary_number(solved, "socket_cube.motion_mean", 0.01 * math.sqrt(3)))

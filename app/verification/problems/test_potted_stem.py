@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from app.verification import closed_forms as exact
-from app.verification.measures import number
+from app.verification.measures import summary_number
 from app.verification.problem import KnownProblem, quick, verify
 
 BAR = "verification/potted_bar.yaml"
@@ -45,7 +45,7 @@ def test_potted_axial(problem: KnownProblem, name: str) -> None:
         "level_stress": bar.largest_stress(AXIAL, HEAD, LEVEL),
         "deflection": bar.deflection(AXIAL, HEAD),
     }
-    problem.compare(number(problem.solve(BAR, ALONG), f"stem.{name}", answers[name]))
+    problem.compare(summary_number(problem.solve(BAR, ALONG), f"stem.{name}", answers[name]))
 
 
 @verify
@@ -57,7 +57,7 @@ def test_potted_order(problem: KnownProblem) -> None:
     ]
     answer = exact.CantileverBar(E, *SECTION, SHORT).deflection(AXIAL, HEAD)
     runs = problem.solve_each(BAR, changes_of_runs)
-    problem.converges([number(run, "stem.deflection", answer) for run in runs])
+    problem.converges([summary_number(run, "stem.deflection", answer) for run in runs])
 
 
 @verify
@@ -77,4 +77,4 @@ def test_potted_head(problem: KnownProblem, name: str, tolerance: float) -> None
         "deflection": bar.deflection(FORCE, HEAD),
     }
     solved = problem.solve(BAR, "mesh.size=2.5 mm")
-    problem.compare(number(solved, f"stem.{name}", answers[name]))
+    problem.compare(summary_number(solved, f"stem.{name}", answers[name]))

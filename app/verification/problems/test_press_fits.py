@@ -17,9 +17,9 @@ from app.verification.measures import (
     MESH,
     TITANIUM,
     in_l2,
-    largest,
-    number,
+    largest_error,
     slice_of,
+    summary_number,
 )
 from app.verification.problem import (
     Comparison,
@@ -77,7 +77,7 @@ def test_lame(problem: KnownProblem, kind: str, t: int) -> None:
     sizes = problem.rungs(SIZES) if ordered else (0.4,)
     changes_of_runs = [(*halves(t), *slice_of(h)) for h in sizes]
     runs = problem.solve_each(f"verification/lame_{kind}.yaml", changes_of_runs)
-    pressures = [number(solved, PRESSURE, lame_pressure(kind, t)) for solved in runs]
+    pressures = [summary_number(solved, PRESSURE, lame_pressure(kind, t)) for solved in runs]
     if ordered:
         problem.converges(pressures)
     else:
@@ -93,7 +93,7 @@ def test_lame_p2_curved(problem: KnownProblem) -> None:
         source=LAME,
     )
     solved = problem.solve(RINGS, "mesh.order=2", "mesh.curved=true", *slice_of(0.8))
-    problem.compare(number(solved, PRESSURE, lame_pressure("plane_strain", 3)))
+    problem.compare(summary_number(solved, PRESSURE, lame_pressure("plane_strain", 3)))
 
 
 # A rigid rod in a ring, by the key `interference`: fitted, pushed in, pulled out, driven in
@@ -117,7 +117,7 @@ def test_press_fit_pressure(problem: KnownProblem) -> None:
     )
     one_stage = "stages=[{name: fit}]", "supports.rod.history=[0]"
     solved = problem.solve(ROD, NO_FRICTION, *one_stage, *slice_of(1.0))
-    problem.compare(number(solved, PRESSURE, fit_pressure()))
+    problem.compare(summary_number(solved, PRESSURE, fit_pressure()))
 
 
 def fit_pressure() -> float:
@@ -257,7 +257,7 @@ def compare_rings(
             p = -layers.state_at(i, radii[i])[1]
             errors[name] = abs(computed / p - 1)
             notes.append(f"{name} {computed:.5g} MPa, exact {p:.5g}")
-    problem.compare(Comparison(largest(errors).error, note="; ".join(notes)))
+    problem.compare(Comparison(largest_error(errors).error, note="; ".join(notes)))
 
 
 @stress

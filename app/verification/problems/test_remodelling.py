@@ -13,7 +13,7 @@ from app.verification.closed_forms_long_term import (
     column_density,
     column_density_at,
 )
-from app.verification.measures import largest
+from app.verification.measures import largest_error
 from app.verification.problem import Comparison, KnownProblem, relative, run, stress, verify
 
 BLOCK = "verification/remodelling.yaml"
@@ -136,7 +136,7 @@ def test_remodelling_plate(problem: KnownProblem) -> None:
         alternating = np.diff(np.diff(rho, axis=0), axis=1) / 4
         errors[f"checkerboards of {n} cells"] = float(2 * (alternating**2).mean() / rho.var())
     coarse, fine = (added_section(solved.summary, "remodelling")["mass"]["end"] for solved in runs)
-    problem.compare(largest(errors), relative(coarse, fine))
+    problem.compare(largest_error(errors), relative(coarse, fine))
 
 
 # Density from one bound to the other

@@ -11,7 +11,7 @@ from app.foundation.arrays import Bools, Floats
 from app.results.reading import Run
 from app.verification import closed_forms as exact
 from app.verification.changed_meshes import ROTATION
-from app.verification.measures import number, same
+from app.verification.measures import difference_between, summary_number
 from app.verification.problem import (
     Comparison,
     KnownProblem,
@@ -100,7 +100,7 @@ def test_slip_thin_layer(problem: KnownProblem) -> None:
         "geometry.liner_thickness=1 mm",
         "regions.liner.poisson_ratio=0",
     )
-    problem.compare(number(solved, "bearing.torque_along", -4 / np.pi * 0.06 * 2000 * 14))
+    problem.compare(summary_number(solved, "bearing.torque_along", -4 / np.pi * 0.06 * 2000 * 14))
 
 
 @verify
@@ -195,7 +195,7 @@ def test_slip_turned(problem: KnownProblem) -> None:
         mesh="turned",
     )
     runs = problem.solve_all([rotated, run(CUP, COARSE)])
-    problem.compare(same(*runs, turn=ROTATION))
+    problem.compare(difference_between(*runs, turn=ROTATION))
 
 
 # A ball on a block, and along a track
@@ -219,7 +219,7 @@ def test_slip_hertz(problem: KnownProblem) -> None:
     problem.compare(
         relative(float((area_near_centre @ p) / (area_near_centre @ shape)), HERTZ.p0),
         relative(radius, HERTZ.a),
-        number(solved, "contact.torque.z", -3 * np.pi / 16 * 0.3 * 100 * HERTZ.a),
+        summary_number(solved, "contact.torque.z", -3 * np.pi / 16 * 0.3 * 100 * HERTZ.a),
     )
 
 
