@@ -66,7 +66,7 @@ class GeometryKeys(Protocol):
 
     @property
     def faces(self) -> Mapping[str, tuple[str, str]]:
-        """Boundaries of the two sides of each interface that is meshed apart."""
+        """Boundaries of the two sides of each interface between separately meshed bodies."""
 
     @property
     def joined(self) -> Collection[Collection[str]]:
@@ -176,7 +176,7 @@ class FileKeys(GeometryKeys, Protocol):
 
     @property
     def apart(self) -> Iterable[Sides]:
-        """Sides of the interfaces across which nodes in one place stay two."""
+        """Sides of the interfaces whose coincident nodes are not merged."""
 
     def copy_files(self, folder: Path) -> str:
         """Copy the file and those that it names to a folder; return the hash of their content."""

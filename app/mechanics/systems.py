@@ -234,7 +234,7 @@ class ContactSystem(BondedSystem):
         if not self._solves or linear not in ("auto", "condensed"):
             return None
         sizes = problem.stiffness.K.getSize()[0], self.contact.coupling.D.getSize()[0]
-        expected_solves = self._solves, problem.scene.stiffens, self._memory, comm.size
+        expected_solves = self._solves, problem.scene.stiffness_varies, self._memory, comm.size
         choice = SolverChoice(problem.scene.order, *sizes, *expected_solves)
         condensed: Condensed | None = None
         if choice.condenses(linear):

@@ -14,7 +14,7 @@ from app.patient.file_text import decoded
 from app.patient.polygons import corners_of
 
 # Statements that do not change the shape of flat faces.
-SHAPELESS = frozenset(
+IGNORED_STATEMENTS = frozenset(
     "vn vt vp g o s mg usemtl mtllib usemap maplib lod bevel c_interp d_interp shadow_obj"
     " trace_obj".split()
 )
@@ -42,7 +42,7 @@ def read(path: Path) -> tuple[Floats, list[str]]:
                     [i - 1 if i > 0 else _vertex_from_end(i, len(points)) for i in numbers]
                 )
                 face_lines.append(number)
-            elif word not in SHAPELESS:
+            elif word not in IGNORED_STATEMENTS:
                 unread[word] += 1
         except ValueError:
             rule = "a vertex has three numbers" if word == "v" else "corners are whole numbers"

@@ -14,7 +14,7 @@ from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
 from app.patient.polygons import corners_of
 
-# Letters of numpy for the names of types in a header.
+# Type codes of numpy by the names of types in a header.
 PLY_TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
     **dict.fromkeys(("uchar", "uint8"), "u1"),
@@ -78,7 +78,7 @@ def read(path: Path) -> tuple[Floats, list[str]]:
         if "tristrips" in columns and "face" not in columns:
             raise _Damaged("its triangles are strips (element tristrips); save it as faces")
         if "vertex" not in columns or "face" not in columns:
-            raise _Damaged(f"has no faces; its elements are {names or 'none'}")
+            raise _Damaged(f"has no faces; its elements: {names or 'none'}")
         vertex = columns["vertex"]
         missing_axes = {"x", "y", "z"} - vertex.keys()
         if missing_axes:

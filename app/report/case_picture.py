@@ -38,37 +38,37 @@ HEAT = "#d9660a"
 # Colour of a shaft that is continued below a scan.
 CONTINUED = "#6a3d9a"
 # Colours of the interfaces, one after the other.
-BETWEEN = tuple(COLOURS[k] for k in (0, 3, 7, 5)) * 9
+INTERFACE_COLOURS = tuple(COLOURS[k] for k in (0, 3, 7, 5)) * 9
 # Largest height and width of the body [inch].
-TALL = 5.0
-WIDE = 3.4
+MAX_HEIGHT = 5.0
+MAX_WIDTH = 3.4
 # Room on each side of the body [inch].
-SIDE = 2.2
+SIDE_MARGIN = 2.2
 # Room above the body, with a title of two lines [inch].
-TOP = 2.2
+TOP_MARGIN = 2.2
 # Room below the body, with a legend of two lines [inch].
-BOTTOM = 1.45
+BOTTOM_MARGIN = 1.45
 # Height of a further line of the title or legend [inch].
-LINE = 0.23
+LINE_HEIGHT = 0.23
 # Letters of a title per inch.
-LETTERS = 9.5
+LETTERS_PER_INCH = 9.5
 # Entries of the legend per line.
-ENTRIES = 2
+LEGEND_COLUMNS = 2
 # Font size of labels and legends: legible where a view is as wide as a phone.
-WORDS = 10
+FONT_SIZE = 10
 # Letters of a line of a label.
-LETTER_ROW = 16
+LABEL_LETTERS = 16
 # Length of the longest and the shortest arrow [inch].
-LONGEST = 0.95
-SHORTEST = 0.35
+LONGEST_ARROW = 0.95
+SHORTEST_ARROW = 0.35
 # Height of a line of a label [inch].
-LABEL = 0.17
+LABEL_LINE_HEIGHT = 0.17
 # Distance between labels [inch].
-APART = 0.08
+LABEL_SPACING = 0.08
 # Distance of labels from the body [inch].
-GAP = 0.55
+LABEL_DISTANCE = 0.55
 # Number of arrows of a pressure.
-SEVERAL = 5
+PRESSURE_ARROWS = 5
 # Text, places (n, 3) [mm], and the force of each arrow (n, 3) [N].
 Force = tuple[str, Floats, Floats]
 
@@ -121,16 +121,16 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
     """Write the PNG of a case on its mesh: two views of equal width, each with its legend."""
     lowest, highest = data.points.min(axis=0), data.points.max(axis=0)
     size, clinical = highest - lowest, case.geometry.has_gruen_zones
-    inch = max(size[2] / TALL, size[:2].max() / WIDE)
-    view_width = size[:2].max() / inch + 2 * SIDE
+    inch = max(size[2] / MAX_HEIGHT, size[:2].max() / MAX_WIDTH)
+    view_width = size[:2].max() / inch + 2 * SIDE_MARGIN
     forces = [*_forces(case, data)]
-    title = textwrap.wrap(case.title or path.stem, int(LETTERS * view_width))
+    title = textwrap.wrap(case.title or path.stem, int(LETTERS_PER_INCH * view_width))
     is_continued = case.geometry.continued_below is not None
     more_entries = (bool(case.supports), bool(case.heat), bool(forces), is_continued)
     entry_count = max(len(data.regions), len(case.interfaces) + sum(more_entries))
-    more_title = LINE * max(0, len(title) - 1)
-    top = TOP + more_title
-    bottom = BOTTOM + LINE * max(0, math.ceil(entry_count / ENTRIES) - 2)
+    more_title = LINE_HEIGHT * max(0, len(title) - 1)
+    top = TOP_MARGIN + more_title
+    bottom = BOTTOM_MARGIN + LINE_HEIGHT * max(0, math.ceil(entry_count / LEGEND_COLUMNS) - 2)
     picture_height = size[2] / inch + top + bottom
     figure = figures.new(2 * view_width, picture_height)
     figure.set_layout_engine("none")
@@ -151,7 +151,13 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
         view_title = f"from {name if clinical else f'+{AXES[toward]}'}"
         view_title += f", section {AXES[toward]} = {round(section_at, 3):g} mm"
         middle = (lowest + highest)[across] / 2
-        ax.text(middle, highest[2] + (TOP - 1.0) * inch, view_title, ha="center", fontsize=WORDS)
+        ax.text(
+            middle,
+            highest[2] + (TOP_MARGIN - 1.0) * inch,
+            view_title,
+            ha="center",
+            fontsize=FONT_SIZE,
+        )
         half_width = 0.5 * view_width * inch
         x_limits = [middle - half_width, middle + half_width][:: -1 if leftward else 1]
         ax.set(xlim=x_limits, ylim=(lowest[2] - bottom * inch, highest[2] + top * inch))
@@ -161,7 +167,9 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
     write(0.25, 1 - 0.1 / picture_height, heading, fontsize=12)
     if len(forces) > 1:
         heading = f"{len(forces)} loads, {next(preview.resultant(case), '')}"
-        write(0.25, 1 - (0.62 + more_title) / picture_height, heading, color=LOAD, fontsize=WORDS)
+        write(
+            0.25, 1 - (0.62 + more_title) / picture_height, heading, color=LOAD, fontsize=FONT_SIZE
+        )
     other_handles = handles(figure.axes)
     bodies = {label: other_handles.pop(label) for label in _region_labels(data)}
     for middle, legend_handles in ((0.25, bodies), (0.75, other_handles)):
@@ -170,9 +178,9 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
             legend_handles,
             loc="lower center",
             bbox_to_anchor=(middle, 0.0),
-            ncols=ENTRIES,
+            ncols=LEGEND_COLUMNS,
             frameon=False,
-            fontsize=WORDS,
+            fontsize=FONT_SIZE,
         )
     figures.save(figure, path, 110, PNG)
 
@@ -203,7 +211,7 @@ def _bodies(view: View, data: MeshData, name: str, facets: Ints, cells: Ints) ->
 
 def _lines(view: View, case: Case, data: MeshData) -> None:
     """Draw sections of interfaces, supports and heat conditions."""
-    for (name, law), colour in zip(case.interfaces.items(), BETWEEN, strict=False):
+    for (name, law), colour in zip(case.interfaces.items(), INTERFACE_COLOURS, strict=False):
         friction = getattr(law, "friction_coefficient", None)
         law_text = f"{law.kind}, friction {plain(friction)}" if friction else law.kind
         triangles_of_interface = [data.points[interface_facets(data, name)[0][:, :3]]]
@@ -289,11 +297,13 @@ def _arrows(view: View, forces: Sequence[Force]) -> None:
         plane_positions = places[:, view.across]
         rows = np.abs(
             plane_positions[:, None]
-            - np.linspace(plane_positions.min(), plane_positions.max(), SEVERAL)
+            - np.linspace(plane_positions.min(), plane_positions.max(), PRESSURE_ARROWS)
         )
         for row in np.unique(rows.argmin(axis=0)):
             size = np.linalg.norm(force_vectors[row])
-            arrow_length = view.inch * max(SHORTEST, LONGEST * math.sqrt(size / largest))
+            arrow_length = view.inch * max(
+                SHORTEST_ARROW, LONGEST_ARROW * math.sqrt(size / largest)
+            )
             start_point = places[row, plane_axes]
             step = arrow_length * force_vectors[row, plane_axes] / size
             points_outwards = (2 * places[row] - view.low - view.high) @ force_vectors[row] > 0
@@ -315,9 +325,12 @@ def _labels(view: View) -> None:
         by_height = sorted(view.labels, key=lambda label: float(label[2][1]))
         labels = [label for label in by_height if (label[2][0] > middle) == (side > 0)]
         wrapped_labels = [_wrapped(label_text) for label_text, *_ in labels]
-        n, x = len(labels), box_corner[view.across] + side * GAP * view.inch
+        n, x = len(labels), box_corner[view.across] + side * LABEL_DISTANCE * view.inch
         label_heights = np.array(
-            [LABEL * (1 + label_text.count("\n")) + APART for label_text in wrapped_labels]
+            [
+                LABEL_LINE_HEIGHT * (1 + label_text.count("\n")) + LABEL_SPACING
+                for label_text in wrapped_labels
+            ]
         )
         # Heights of the middles of labels that touch, from the first one.
         steps = view.inch * (np.cumsum(label_heights) - label_heights / 2)
@@ -326,7 +339,7 @@ def _labels(view: View) -> None:
         spread_heights = _least_increasing(y) + steps
         if n:
             # Below the title of the view.
-            highest = view.high[2] + (TOP - 1.0 - APART) * view.inch
+            highest = view.high[2] + (TOP_MARGIN - 1.0 - LABEL_SPACING) * view.inch
             spread_heights = spread_heights - max(
                 0.0, spread_heights[-1] + 0.5 * label_heights[-1] * view.inch - highest
             )
@@ -339,7 +352,7 @@ def _labels(view: View) -> None:
                 label_text,
                 (place[0], place[1]),
                 (x, height),
-                fontsize=WORDS,
+                fontsize=FONT_SIZE,
                 arrowprops=line,
                 va="center",
                 ha="left" if is_at_right else "right",
@@ -367,7 +380,7 @@ def _wrapped(label: str) -> str:
     """Break the long lines of a label."""
     lines: list[str] = []
     for line in label.split("\n"):
-        lines += textwrap.wrap(line, LETTER_ROW)
+        lines += textwrap.wrap(line, LABEL_LETTERS)
     return "\n".join(lines)
 
 
@@ -386,9 +399,14 @@ def _scale(view: View, names: Sequence[tuple[str, str]]) -> None:
         f"{bar_length:g} mm\n{direction}",
         ha="center",
         va="top",
-        fontsize=WORDS,
+        fontsize=FONT_SIZE,
     )
     label_position = view.low[view.across] - 0.4 * view.inch, view.low[2] + 0.9 * view.inch
     view.ax.text(
-        *label_position, " → ".join(names[2]), ha="center", va="center", rotation=90, fontsize=WORDS
+        *label_position,
+        " → ".join(names[2]),
+        ha="center",
+        va="center",
+        rotation=90,
+        fontsize=FONT_SIZE,
     )

@@ -129,8 +129,8 @@ class Scene:
         return elastic | {r.region: math.inf for r in self.rigid}
 
     @property
-    def stiffens(self) -> bool:
-        """True if the stiffness changes from solve to solve."""
+    def stiffness_varies(self) -> bool:
+        """True if the stiffness varies from solve to solve: by cure or by density."""
         return bool(self.cures) or any(e._density for e in self.elastic)
 
     def is_active(self, support: Support, stage: int) -> bool:
@@ -467,7 +467,7 @@ def _interface(
     swapped = _stiffness(first, moduli) < _stiffness(second, moduli)
     master, slave = (second, first) if swapped else (first, second)
     faces = faces or law.sliding_boundaries
-    # Fraction of the friction heat that enters the first side, or a word: by effusivity.
+    # Fraction of the friction heat that enters the first side; a string means: by effusivity.
     first_share = law.heated_by_friction
     if first_share is None:
         slave_share = 0.0

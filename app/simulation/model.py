@@ -205,7 +205,7 @@ class Model:
         """Return the analysis and its mechanics, on earlier matrices where they fit; collective."""
         case, same_stiffness = self.case, None
         earlier: Model | None = None
-        for model in self._other_models if not self.scene.stiffens else ():
+        for model in self._other_models if not self.scene.stiffness_varies else ():
             mechanics = model.mechanical_path
             if mechanics is None or mechanics.problem.body_forms.by_density:
                 continue

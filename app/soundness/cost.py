@@ -234,7 +234,7 @@ def _choice(
     case: Case, size: _Size, runs: int, available: float = math.inf
 ) -> tuple[SolverChoice, bool]:
     """Choice of the linear solver of mechanics; True if it condenses the bodies."""
-    number, changes_stiffness = runs * max(1, sum(solves(case))), build_scene(case).stiffens
+    number, changes_stiffness = runs * max(1, sum(solves(case))), build_scene(case).stiffness_varies
     sizes = case.mesh.order, 3 * size.nodes, 3 * size.jumps
     choice = SolverChoice(*sizes, number, changes_stiffness, available)
     can_condense = bool(size.jumps and contact_solves(case))

@@ -33,7 +33,7 @@ def mesh(geometry: Cylinders = ROD, size: str = "3 mm", curved: bool = True) -> 
 
 @pytest.mark.parametrize(("curved", "within"), [(True, 0.02), (False, 0.2)])
 def test_mantle_thickness_of_concentric_cylinders(curved: bool, within: float) -> None:
-    """On curved cells nearly; on flat ones as well as chords of 3 mm follow the circles."""
+    """To 0.02 mm on curved cells; to 0.2 mm on flat ones, as chords of 3 mm allow."""
     note = mesh(curved=curved).notes["mantle"]
     thickness = note["thickness"]
     for key in ("nominal", "min", "p5", "median", "mean", "p95", "max"):
@@ -97,7 +97,7 @@ def test_mantle_below_the_tip_is_the_plug() -> None:
     data = eccentric(0.0)
     half = mantle.describe(data, THICKNESS, 0.5 * LENGTH)
     assert half["plug_volume"] == pytest.approx(0.5 * half["volume"], rel=6e-3)
-    # Were the lower half thinner nothing of it would be seen.
+    # Thinning below the level does not change the thickness.
     x = data.points.copy()
     x[:, :2] *= np.where(x[:, 2] < 0.25 * LENGTH, 0.5, 1.0)[:, None]
     squeezed = replace(data, points=x)

@@ -165,7 +165,7 @@ def test_remodelling_notes_a_missing_lazy_zone() -> None:
 
 def test_remodelling_costs_nothing_if_absent() -> None:
     scene = build_scene(load(support.CONFIGS / "blocks.yaml").config)
-    assert not scene.stiffens and not scene.loads_of
+    assert not scene.stiffness_varies and not scene.loads_of
     assert not any(e.varies for e in scene.elastic)
 
 

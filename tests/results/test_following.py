@@ -1,4 +1,4 @@
-"""Mechanics that follow the heat: as closely as asked, through cure too, and judged rightly."""
+"""Mechanics driven by heat: their accuracy by `mechanical_step`, with cure, and their balances."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from app.results import verdicts
 from tests import support
 
-# A ring that sets around a rigid core that it is smooth on, all at body temperature.
+# A ring that sets around a frictionless rigid core, all at body temperature.
 RING = """
 geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 1.5 mm, bone_thickness: 1.5 mm,
            length: 1.5 mm, sector: quarter}
@@ -67,7 +67,7 @@ def test_heated_mechanics_pressure_of_shrinking_cement(tmp_path: Path) -> None:
         summary = solve(tmp_path, *SET, BATH, f"time={{mechanical_step: {step} K}}")
         errors.append(abs(pressure(summary) / exact - 1))
         assert all(summary["balance"][k] < limit for k, limit in verdicts.BALANCES.items())
-    # The warmth of half a unit of cure, 30 K, in some 3 and 12 steps; second order.
+    # From gelation to full cure the heat is that of 30 K: some 3 and 12 steps; second order.
     assert errors[-1] < 5e-3
     assert errors[0] / errors[-1] > 8
 
