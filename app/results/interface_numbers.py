@@ -257,12 +257,7 @@ class ContactSamples:
         means["pressure"] = surface.of_faces(self._pressures)
         means["shear"] = shear_of_faces(self.shear, self._pressures, means["pressure"])
         of_points["pressure"] = self._pressures.sum(axis=1)
-        values = {name: surface.sharpened(mean) for name, mean in means.items()}
-        contact = self.contacts[i]
-        if contact.law.is_contact and "μ" in contact.constants:
-            limit = contact.constants["μ"](self.x)[:, None] * values["pressure"]
-            values["shear"] = np.minimum(values["shear"], limit)
-        return {k: TractionSize(means[k], values[k], of_points[k]) for k in means}
+        return {k: TractionSize(m, surface.sharpened(m), of_points[k]) for k, m in means.items()}
 
     @cached_property
     def numbers(self) -> dict[str, Numbers]:

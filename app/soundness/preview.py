@@ -330,7 +330,7 @@ def _doubtful_cycles(case: Case) -> Iterable[Verdict]:
     sizes_of = {name: load.cycle_sizes for name, load in case.loads.items() if load.cycle_sizes}
     for name, sizes in sizes_of.items():
         last, peak = sizes[-1], max(sizes)
-        if last < PEAK * peak:
+        if last < PEAK * peak and case.geometry.has_gruen_zones:
             message = (
                 f"the force ends at {100 * last / peak:.0f} % of its peak, and the numbers of a run"
                 " are those at the end"
