@@ -20,10 +20,10 @@ def test_measures_detect_wrong_results(tmp_path: Path) -> None:
     path.write_text(f"{text}\nvariations: {{one: {{}}, twice: {{{twice}}}, slack: {{{slack}}}}}\n")
     support.on_ranks(1, "-m", "mantle", "run", path, "-o", tmp_path / "out")
     first, second, third = (Run(tmp_path / "out" / name) for name in ("one", "twice", "slack"))
-    assert measures.same(first, first).error == 0
-    assert measures.same(second, first, lengths=2, stresses=2).error < 1e-9
-    assert measures.same(second, first).error == pytest.approx(1, rel=1e-6)
-    assert measures.same(third, first).error > 1e-2
+    assert measures.difference_between(first, first).error == 0
+    assert measures.difference_between(second, first, lengths=2, stresses=2).error < 1e-9
+    assert measures.difference_between(second, first).error == pytest.approx(1, rel=1e-6)
+    assert measures.difference_between(third, first).error > 1e-2
     with pytest.raises(ValueError, match="not the same"):
-        measures.same(first, first, points=2)
-    assert measures.lawful(first).error < 1e-9
+        measures.difference_between(first, first, points=2)
+    assert measures.law_violation(first).error < 1e-9
