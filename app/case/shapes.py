@@ -30,9 +30,11 @@ Sides = tuple[tuple[str, ...], tuple[str, ...]]
 
 LEAST = 1e-8  # size of a cell (mm), so that its powers do not underflow
 COUNTLESS = 1e40  # bound of the number of cells
-# Distance of lines around on a stem, over the size: pressure has ridges 1.5 to 3 mm wide there. In
-# cement thinner than this (mm) they are narrower, as the root of the thickness, down to the second.
+# Distance of lines around on a stem, over the size: pressure has ridges 1.5 to 3 mm wide there.
 AROUND = 0.2
+# Distance (mm) that resolves the ridges in cement of the first thickness (mm). In thinner cement
+# they are narrower, as the root of the thickness, down to the second.
+RESOLVED = 1.2
 RIDGES = (4.0, 2.0)
 # Least number of lines around a femur by default; that of meshes above a size (mm).
 LINES = 16
@@ -424,7 +426,9 @@ class MeshOptions(Section):
             return max(COMPANION, 4 * round(perimeter(*section) / self.around / 4.0))
         wide, narrow = RIDGES
         thickness = spread(cement)[1] if cement else wide
-        distance = AROUND * self.size * math.sqrt(min(max(thickness, narrow), wide) / wide)
+        width_ratio = math.sqrt(min(max(thickness, narrow), wide) / wide)
+        distance = AROUND * self.size
+        distance = min(distance, max(distance, RESOLVED) * width_ratio)
         fewest_lines = LINES if self.size <= COARSE else COMPANION
         return max(fewest_lines, 4 * round(perimeter(*section) / distance / 4.0))
 

@@ -193,7 +193,9 @@ class MeasuredLayers:
         table = FemurBone(cortex=THIN_CORTEX)
         ratio = table.endosteum(theta, z) / table.periosteum(theta, z)
         scale = 1.0 + np.clip(z / CONE_END, 0.0, 1.0) * (canal_scale - 1.0)
-        return np.minimum(scale * ratio * self._bone.radii, self._bone.radii - LEAST_CORTEX)
+        bone = self._bone.radii
+        widest = np.maximum(bone - LEAST_CORTEX, ratio * bone)
+        return np.asarray(np.minimum(scale * ratio * bone, widest))
 
     def _measured_canal(self, canal: BoneSurface) -> Floats:
         """Radii of the endosteum by the canal's surface, and above it by a thinning cortex [mm]."""

@@ -199,7 +199,7 @@ def test_placement_moves_the_stem_but_not_the_bone(kind: str, tmp_path: Path) ->
         else {}
     )
     geometry = femur(insertion=MOVED, **file)
-    data = _make(geometry, options(size="6 mm", around=None))
+    data = _make(geometry, options(size="6 mm", around=36))
     normal, level = cut(geometry)
     medial, anterior = (Rotation.from_euler("z", 5 + a, degrees=True) for a in (0, 90))
     shift = medial.apply([1.0, 0.0, 0.0]) - anterior.apply([1.0, 0.0, 0.0])
