@@ -30,7 +30,7 @@ from app.results.percentiles import SurfaceField
 STEPS = 2
 # Fraction of the area of a point below which one of its faces is a sliver: the force along its
 # normal belongs to the surroundings, and over its area it is no pressure.
-SLIVER = 0.1
+SLIVER = 0.05
 # Fraction of a facet below which a piece is rounding.
 NOTHING = 1e-12
 # Fraction of an interface below which a part of it is rounding.
