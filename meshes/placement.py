@@ -309,9 +309,13 @@ def placement_of(geometry: StemInBone) -> Placement:
 
 def lengthening(geometry: PlacedStem) -> float:
     """Change of the leg length by the operation: of the height of the head along the shaft [mm]."""
+    return float(stem_head(geometry)[2] - geometry.femur.head[2])
+
+
+def stem_head(geometry: PlacedStem) -> Floats:
+    """Centre of the stem's head in the model's axes (3,) [mm]."""
     implant = geometry.implant
-    head = geometry.placement.to_model([implant.head_offset, 0.0, implant.head_height])
-    return float(head[2] - geometry.femur.head[2])
+    return geometry.placement.to_model([implant.head_offset, 0.0, implant.head_height])
 
 
 def head_in_words(geometry: PlacedStem) -> str:
@@ -320,8 +324,8 @@ def head_in_words(geometry: PlacedStem) -> str:
     The offset is the distance of the head's centre from the shaft's axis. Version is the azimuth of
     the neck about it.
     """
-    placement, implant, femur = geometry.placement, geometry.implant, geometry.femur
-    head, intact = placement.to_model([implant.head_offset, 0.0, implant.head_height]), femur.head
+    placement, femur = geometry.placement, geometry.femur
+    head, intact = stem_head(geometry), femur.head
     offset, intact_offset = math.hypot(*head[:2]), math.hypot(*intact[:2])
     version = math.degrees(math.atan2(placement.rotation[1, 0], placement.rotation[0, 0]))
     changes = offset - intact_offset, lengthening(geometry), version - math.degrees(femur.neck)

@@ -28,7 +28,14 @@ from app.laws.values import ROUNDING
 from app.schema.section import Section, fail
 from app.schema.units import Angle, Dimension, Length, PositiveLength
 from app.system import folders
-from meshes.placement import InsertionKeys, Placement, ResectionKeys, head_in_words, placement_of
+from meshes.placement import (
+    InsertionKeys,
+    Placement,
+    ResectionKeys,
+    head_in_words,
+    placement_of,
+    stem_head,
+)
 
 # `best_position` and `room` are imported where they are used: scipy takes 0.15 s.
 if TYPE_CHECKING:
@@ -260,8 +267,7 @@ class Hip(Shape):
     @property
     def head_centre(self) -> Point3:
         """Centre of the head in the model's axes (mm)."""
-        implant = self.implant
-        return point(self.placement.to_model([implant.head_offset, 0.0, implant.head_height]))
+        return point(stem_head(self))
 
     @property
     def flanks_end(self) -> float:

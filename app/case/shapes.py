@@ -394,8 +394,9 @@ class MeshOptions(Section):
 
     around: Annotated[int | float, LinesAround()] | None = None
     """Lines around the stem of a femur: their number, 4 to 1000, or their distance on the stem, a
-    quarter of the way down from the neck cut. By default the distance is 0.2 of `size`, in cement
-    thinner than 4 mm less, and the number, a multiple of 4, at least 16 up to a size of 10 mm."""
+    quarter of the way down from the neck cut. By default the distance is 0.2 of `size`, or less
+    in cement thinner than 4 mm. The number is a multiple of 4, and at least 16 up to a size of
+    10 mm."""
     along: PositiveLength | None = None
     """Largest step along the stem of a femur; by default `size`. All steps from the shaft to the
     head scale with it."""
@@ -427,8 +428,8 @@ class MeshOptions(Section):
         wide, narrow = RIDGES
         thickness = spread(cement)[1] if cement else wide
         width_ratio = math.sqrt(min(max(thickness, narrow), wide) / wide)
-        distance = AROUND * self.size
-        distance = min(distance, max(distance, RESOLVED) * width_ratio)
+        by_size = AROUND * self.size
+        distance = min(by_size, max(by_size, RESOLVED) * width_ratio)
         fewest_lines = LINES if self.size <= COARSE else COMPANION
         return max(fewest_lines, 4 * round(perimeter(*section) / distance / 4.0))
 

@@ -173,7 +173,7 @@ class ImageModulus(ModulusField):
         return notes
 
     def _doubts_on(self, patient: Patient) -> list[str]:
-        """Notes on a CT that is turned against the labels, and on a cortex that is too stiff."""
+        """Notes on a CT turned against the labels, and on a cortex too soft or too stiff."""
         notes, name = list[str](), self.density.name
         if patient.bone.image:
             from app.patient import images  # scipy, which other cases do without
@@ -186,14 +186,13 @@ class ImageModulus(ModulusField):
                     f" {labels.name}; are CT and labels of one scan?"
                 )
         median = float(np.median(self.below_surface(patient)))
+        doubt = f"{name}: the median of E {SURFACE_DEPTH:g} mm below the bone's surface is"
         if median < SOFT_CORTEX:
             notes.append(
-                f"{name}: the median of E {SURFACE_DEPTH:g} mm below the bone's surface is"
-                f" {median / 1e3:.2g} GPa; expected more than {SOFT_CORTEX / 1e3:g} GPa. Is the CT"
-                " mirrored or moved against the bone, or is the calibration wrong?"
+                f"{doubt} {median / 1e3:.2g} GPa; expected more than {SOFT_CORTEX / 1e3:g} GPa. Is"
+                " the CT mirrored or moved against the bone, or is the calibration wrong?"
             )
         if median > STIFF_CORTEX:
-            doubt = f"{name}: the median of E {SURFACE_DEPTH:g} mm below the bone's surface is"
             expected = f"expected less than {STIFF_CORTEX / 1e3:g} GPa"
             notes.append(
                 f"{doubt} {median / 1e3:.1f} GPa; {expected}. Was 1024 added to its CT numbers,"

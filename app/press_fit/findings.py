@@ -72,9 +72,8 @@ def _ingrowth(summary: Summary) -> Iterable[Verdict]:
     """Areas of micromotion, compared with published limits of ingrowth."""
     for name, q in summary.get("interfaces", {}).items():
         has_grown_in = "damage_mean" in q
-        if name == ON_CUT or has_grown_in or not q.get("area"):
-            continue
-        if "area_micromotion_over_40um" not in q:
+        has_micromotion = bool(q.get("area")) and "area_micromotion_over_40um" in q
+        if name == ON_CUT or has_grown_in or not has_micromotion:
             continue
         interface_and_zones = {name: q} | {
             f"zone {zone}": part for zone, part in q.get("zones", {}).items()

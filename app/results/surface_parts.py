@@ -205,10 +205,15 @@ class Surface:
         the area of its point.
         """
         area = self._face_area
-        total = np.broadcast_to(area.sum(axis=1)[:, None], area.shape)
         over_point = np.where(area > 0, values, 0.0)
-        is_wide = area > SLIVER * total
-        return np.divide(values * total, area, where=is_wide, out=over_point)
+        forces = values * area.sum(axis=1, keepdims=True)
+        return np.divide(forces, area, where=self._is_wide, out=over_point)
+
+    @property
+    def _is_wide(self) -> Bools:
+        """True for faces of points (n, 3) that are no slivers, and that the interface has."""
+        area = self._face_area
+        return np.asarray(area > SLIVER * area.sum(axis=1, keepdims=True))
 
     def _sums(self, corners: Floats) -> Floats:
         """Sum values at the corners of facets (f, 3) over the facets of each face (n, 3)."""
@@ -224,8 +229,7 @@ class Surface:
         """
         area = self._face_area
         sharp_sums = self._sums(np.repeat(~self._sharp[:, None], 3, axis=1).astype(float))
-        is_wide = area > SLIVER * area.sum(axis=1, keepdims=True)
-        has_smooth_part = is_wide & (sharp_sums == 0)
+        has_smooth_part = self._is_wide & (sharp_sums == 0)
         values = means.copy()
         for _ in range(STEPS):
             corners = self._at_corners(values)
