@@ -210,8 +210,9 @@ def _units() -> str:
 
 
 def _keys(query: str) -> Iterator[str]:
-    """Explain the key at a path, or all keys that end with a word."""
-    keys = [k for k in every() if matches(k, query)] or [k for k in every() if k.name == query]
+    """Explain the key at a path, or all keys whose paths end with a word or with words."""
+    keys = [k for k in every() if matches(k, query)]
+    keys = keys or [k for k in every() if f".{k.path}".endswith(f".{query}")]
     heads: dict[str, list[str]] = {}
     for key in keys:
         with_kind = key.kind and key.name != "kind"

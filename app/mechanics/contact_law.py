@@ -152,6 +152,8 @@ class PointLaw:
         multiplier_share: 1 - r C: factor of the equilibrium force in the trial force (n, 3, 3) [-].
         slides: True where the slip follows from contact, False where the law returns it (n,).
         frozen: True while the internal variables of the laws stay at the last state.
+        limiting_force: Trial forces (n, 3) whose pressures limit friction [MPa]; None: those of
+            the state itself, as in Coulomb's law.
     """
 
     def __init__(self, comm: MPI.Comm, points: LocalPoints, timing: Timing) -> None:
@@ -195,6 +197,8 @@ class PointLaw:
 
         self.constrained = np.zeros(len(points), dtype=bool)
         self.opened = np.zeros(len(points), dtype=bool)
+        self.limiting_force: Floats | None = None
+        self._trial_force: Floats = np.zeros((len(points), 3))
         self._augmentation_scale = 1.0
         self._layer_stiffness = np.array([min(law.layer or (np.inf,)) for law in laws])[
             points.interface
@@ -271,6 +275,34 @@ class PointLaw:
         layers = self.stiffness[:, None, None] * self.compliance
         self.multiplier_share = np.eye(3) - layers
 
+    def limit_friction(self, active: bool) -> bool:
+        """Limit friction by given pressures, zero at first, or by those of the state; collective.
+
+        With given pressures the problem is that of Tresca: it is convex, and has one solution.
+        Laws with layers or cohesion keep their friction.
+
+        Returns:
+            True if there is friction.
+        """
+        has_friction = bool(self._comm.allreduce(bool(self.frictional.any()), MPI.LOR))
+        is_given = active and has_friction
+        self.limiting_force = np.zeros((len(self._points), 3)) if is_given else None
+        return has_friction
+
+    def relax_limits(self, share: float) -> float:
+        """Move the given pressures by a share towards those of the last state; collective.
+
+        Returns:
+            Norm of the difference of the trial forces over that of the last ones [-].
+        """
+        if self.limiting_force is None:
+            raise ValueError("friction is not limited by given pressures")
+        difference = self._trial_force - self.limiting_force
+        self.limiting_force = self.limiting_force + share * difference
+        squares = np.array([(difference**2).sum(), (self._trial_force**2).sum()])
+        change, size = np.sqrt(self._comm.allreduce(squares, MPI.SUM))
+        return float(change / size) if size else 0.0
+
     def default_augmentation_ratio(self) -> float:
         """Geometric mean of the default augmentation over the one of the case [-]; collective.
 
@@ -312,12 +344,17 @@ class PointLaw:
             "r": r,
             "frozen": np.full(n, float(self.frozen)),
         }
+        self._trial_force = inputs["force"] + r[:, None] * (inputs["jump"] + gap)
         point_forces = PointForces.zeros(r, state.internal_variables)
         for group in self._groups:
             rows, law = group.rows, group.law
             committed = {name: state.internal_variables[name] for name in law.internal_variables}
             inputs_at_rows = {k: v[rows] for k, v in (inputs | committed).items()}
             response = self._evaluate_law(rows, group.kernel, inputs_at_rows, state.friction[rows])
+            if self.limiting_force is not None and law.is_contact and law.friction > 0:
+                response = self._with_given_limits(
+                    rows, group.kernel, inputs_at_rows, state.friction[rows], response
+                )
             point_forces.force[rows] = response["force"]
             by_multiplier = response.get("by_multiplier", 0.0)
             point_forces.by_multiplier[rows] = by_multiplier
@@ -422,6 +459,49 @@ class PointLaw:
         F_h_by_F = np.einsum("p,pi,pk,pkj->pij", factor, direction, direction, P_F)
         return response | {"by_multiplier": P_F + P_F @ M @ F_h_by_F}
 
+    def _with_given_limits(
+        self,
+        rows: Ints,
+        kernel: Pointwise,
+        inputs: dict[str, Floats],
+        last_friction: Floats,
+        response: dict[str, Floats],
+    ) -> dict[str, Floats]:
+        """Replace friction by that of the law under the given pressures.
+
+        Args:
+            rows: Local points of the law (n,).
+            kernel: The compiled law.
+            inputs: Inputs of the law by name.
+            last_friction: Friction in the last converged state (n, 3) [MPa].
+            response: Outputs of the law under the pressures of the state.
+        """
+        assert self.limiting_force is not None
+        normals = self._points.normals[rows]
+        along_normals = _span_projectors(normals)
+        excess = self.limiting_force[rows] - self._trial_force[rows]
+        gap = inputs["gap"] + np.einsum("pij,pj->pi", along_normals, excess) / inputs["r"][:, None]
+        given = self._evaluate_law(rows, kernel, inputs | {"gap": gap}, last_friction)
+        faces = response["pressures"].shape[1]
+        pressed, given_pressed = (
+            np.where(values["pressures"][:, :, None] > 0, normals[:, :faces], 0.0)
+            for values in (response, given)
+        )
+        friction = given["force"] + np.einsum("pk,pki->pi", given["pressures"], normals[:, :faces])
+        normal_force = -np.einsum("pk,pki->pi", response["pressures"], normals[:, :faces])
+        across_pressed, across_normals = (
+            np.eye(3) - _span_projectors(given_pressed),
+            np.eye(3) - along_normals,
+        )
+        by_multiplier = _span_projectors(pressed)
+        by_multiplier += across_pressed @ given["by_multiplier"] @ across_normals
+        is_open = (response["status"] == OPEN) & (given["status"] == OPEN)
+        return response | {
+            "force": normal_force + friction,
+            "by_multiplier": by_multiplier,
+            "status": np.where(is_open, OPEN, np.maximum(given["status"], STICK)),
+        }
+
     def _add_debonded_contact(
         self,
         rows: Ints,
@@ -488,6 +568,11 @@ class PointLaw:
         point_forces.by_multiplier[constrained] = np.eye(3)
         point_forces.by_jump[constrained] = (self.stiffness[:, None, None] * np.eye(3))[constrained]
         point_forces.status[constrained] = STICK
+
+
+def _span_projectors(normals: Floats) -> Floats:
+    """Projectors (n, 3, 3) on the span of normals (n, m, 3), of which zero ones count for none."""
+    return np.asarray(np.linalg.pinv(normals) @ normals)
 
 
 def _prescribed_slip(

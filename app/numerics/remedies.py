@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Iterator
 
 from petsc4py import PETSc
@@ -10,7 +11,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.numerics.newton import REASONS, NewtonResult, Solver
-from app.numerics.system import Contact
+from app.numerics.system import Contact, ContactLaw
 
 log = logging.getLogger("mantle")
 
@@ -19,6 +20,13 @@ log = logging.getLogger("mantle")
 AUGMENTATIONS = ((0.1, True), (0.01, True), None, (100.0, False), (0.1, False), (0.01, False), None)
 # Factors of the default augmentation, tried last if the case sets another one.
 DEFAULT_FACTORS = (1.0, 0.1, 0.01)
+# Shares by which given pressures follow those of the state, in the order of trial. The critical
+# friction coefficient is 1.4 in `stress/stem.yaml`: 0.5 is enough up to a coefficient of 10, and
+# 0.01 is needed at 1000.
+SHARES = (0.5, 0.25, 0.125, 0.0625, 0.03, 0.015)
+# Difference of the two [-] below which a share has done its work, and updates in which it halves.
+SAME_PRESSURES = 1e-3
+MOST_UPDATES = 20
 # Fraction of the default augmentation below which a solution is refined with the default.
 SMALL_AUGMENTATION = 0.05
 
@@ -41,9 +49,11 @@ def solve(solver: Solver) -> NewtonResult:
     solver.x.copy(solver.first_state)
     tried: list[tuple[str, float]] = []
     for remedy in remedies(solver, start):
-        log.info("     %s: %s", failure_text(solver), remedy)
+        if remedy:
+            log.info("     %s: %s", failure_text(solver), remedy)
         runs.append(solver.run())
-        tried.append((remedy, solver.residuals[-1]))
+        if remedy:
+            tried.append((remedy, solver.residuals[-1]))
     augmentation = solver.augmentation
     if (
         contact
@@ -100,16 +110,20 @@ def _refine(solver: Solver, contact: Contact) -> tuple[float, tuple[int, int]]:
 def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
     """Apply one remedy after the other until Newton has converged; yield each in words.
 
+    An empty text continues the last one.
+
     1. Interfaces that have to close before a body is held are constrained, then released. A body
        with clearance, or one that touches along an edge only, thus comes into contact.
     2. All interfaces are opened, then closed where the bodies overlap. In plain Newton the border
        of an opening zone moves by one row of facets in each iteration.
     3. The contact block is factorized, as SOR may yield poor directions.
-    4. The augmentation is scaled. A large one makes contact points change state back and forth;
+    4. Friction is limited by given pressures, which follow those of the state. Above the critical
+       friction coefficient Newton's method changes the same few points back and forth.
+    5. The augmentation is scaled. A large one makes contact points change state back and forth;
        Newton continues from the current state with a smaller one.
-    5. The line search is switched on or off. At a kink of the contact law it may shorten steps to
+    6. The line search is switched on or off. At a kink of the contact law it may shorten steps to
        almost zero, although full steps converge.
-    6. An augmentation set by the case, which may be wrong by powers of ten, is replaced by the
+    7. An augmentation set by the case, which may be wrong by powers of ten, is replaced by the
        default, then by smaller ones, and then the line search is switched again.
     """
     contact = solver.system.contact
@@ -127,6 +141,8 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
         yield "factorizing the contact block"
     if contact is None:
         return
+    if not solver.converged:
+        yield from _with_given_limits(solver, start, contact.law)
     for remedy in AUGMENTATIONS:
         if solver.converged:
             return
@@ -185,6 +201,41 @@ def _with_switched_interfaces(
         start.copy(solver.x)
     else:
         yield usual_remedy
+
+
+def _with_given_limits(solver: Solver, start: PETSc.Vec, law: ContactLaw) -> Iterator[str]:
+    """Solve from the start under given limits of friction, then from there under its own.
+
+    Where a solve under given limits does not converge, the state is that before the remedy.
+    """
+    if not law.limit_friction(True):
+        return
+    before = solver.x.copy()
+    start.copy(solver.x)
+    try:
+        yield "limiting friction by given pressures, which follow those of the state"
+        yield from _following_pressures(solver, law)
+    finally:
+        law.limit_friction(False)
+    if solver.converged:
+        yield "limiting friction by the pressures of the state"
+    else:
+        before.copy(solver.x)
+
+
+def _following_pressures(solver: Solver, law: ContactLaw) -> Iterator[str]:
+    """Let the given pressures follow those of the state until both are the same."""
+    for share in SHARES:
+        least, updates = math.inf, 0
+        while updates < MOST_UPDATES and solver.converged:
+            solver.residual(solver.x)
+            difference = law.relax_limits(share)
+            if difference < SAME_PRESSURES:
+                return
+            yield ""
+            updates += 1
+            if difference < least / 2:
+                least, updates = difference, 0
 
 
 def _with_other_search(solver: Solver) -> Iterator[str]:

@@ -56,6 +56,20 @@ class ContactLaw(Protocol):
     def freeze(self, active: bool) -> bool:
         """Freeze the internal variables, or let them change; return True if there are any."""
 
+    def limit_friction(self, active: bool) -> bool:
+        """Limit friction by given pressures, zero at first, or by those of the state.
+
+        Returns:
+            True if there is friction.
+        """
+
+    def relax_limits(self, share: float) -> float:
+        """Move the given pressures by a share towards those of the last state; collective.
+
+        Returns:
+            Relative difference of the two [-].
+        """
+
 
 class Contact(Protocol):
     """Interface between the nonlinear solver and the contact of a system."""

@@ -90,6 +90,11 @@ def test_explanation_of_a_word_of_a_meaning_lists_the_keys() -> None:
         explanations.explained("xyzzy")
 
 
+def test_explanation_of_the_end_of_a_path_is_that_of_the_path() -> None:
+    for end in ("canal.isthmus", "isthmus"):
+        assert explanations.explained(end) == explanations.explained("geometry.canal.isthmus")
+
+
 def test_explanation_of_every_key_has_value_or_kinds() -> None:
     for section in keys.table():
         for key in section.keys:

@@ -1,0 +1,60 @@
+"""Remedies of a nonlinear solve that does not converge."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mantle
+from app.case.case import load
+from app.numerics.remedies import solve
+from app.results.reading import Results
+from tests import support
+
+
+def test_remedies_limits_of_friction_are_the_given_ones() -> None:
+    """Without pressures nothing rubs; under those of the solution the solution is the same."""
+    problem, solver = support.assemble(support.case(support.STEM))
+    contact = solver.system.contact
+    problem.set_time(1.0)
+    assert solve(solver).converged
+    coulomb = solver.x.copy()
+    law = contact.law
+    assert law.limit_friction(True)
+    assert law.relax_limits(1.0) > 0.99
+    solver.run()
+    assert solver.converged
+    coulomb.axpy(-1.0, solver.x)
+    assert coulomb.norm() < 1e-9 * solver.x.norm()
+    law.limit_friction(True)
+    solver.run()
+    assert solver.converged
+    u, q = solver.u_and_q()
+    forces = problem.trial(u, q).law
+    normal = np.einsum("pk,pki->pi", forces.pressures, contact.local.normals)
+    assert np.abs(forces.force + normal).max() < 1e-9 * np.abs(normal).max()
+    law.limit_friction(False)
+    assert solve(solver).converged
+
+
+@pytest.mark.parametrize("friction", [5.0, 7.0])
+def test_remedies_find_the_same_equilibrium_beyond_the_critical_friction(
+    friction: float, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Five times the critical coefficient of 1.4: each solver finds it, by the same path."""
+    names = ("stem_cement", "cement_bone")
+    changes = [f"interfaces.{name}.friction_coefficient={friction}" for name in names]
+    motions = []
+    for linear in ("condensed", "direct"):
+        case = load(support.CONFIGS / "stress/stem.yaml", [*changes, f"solver.linear={linear}"])
+        with caplog.at_level(logging.INFO, "mantle"):
+            mantle.run(case, tmp_path / linear)
+        assert "limiting friction by given pressures" in caplog.text
+        caplog.clear()
+        record = Results(tmp_path / linear).step_record
+        motions.append(record["cement_bone slip_max [mm]"])
+    assert (motions[0] > 0).all()
+    np.testing.assert_allclose(motions[1], motions[0], rtol=1e-4)
