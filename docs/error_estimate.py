@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import mantle
-from app import rooms  # noqa: F401  (registers keys that cases have)
+from app import extensions  # noqa: F401  (registers keys that cases have)
 from app.case.case import Case, load
 from app.case.quantities import (
     ORDER_OF_DOSE,

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import mantle
-from app import rooms  # noqa: F401  (registers keys that cases have)
+from app import extensions  # noqa: F401  (registers keys that cases have)
 from app.case.case import load
 from meshes import femur_stem
 

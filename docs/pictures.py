@@ -15,7 +15,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Patch
 
-from app import rooms  # noqa: F401  (registers keys that cases have)
+from app import extensions  # noqa: F401  (registers keys that cases have)
 from app.campaigns import study, study_picture
 from app.campaigns.runs import Result
 from app.campaigns.study_report import Report

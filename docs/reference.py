@@ -21,7 +21,7 @@ from typing import Any
 from pydantic import BaseModel
 
 import mantle
-from app import rooms  # noqa: F401  (registers keys that cases have)
+from app import extensions  # noqa: F401  (registers keys that cases have)
 from app.case import keys
 from app.case.case import Case, LoadedCase
 from app.case.fit import FitFile

@@ -21,7 +21,7 @@ import tempfile
 from pathlib import Path
 from statistics import median
 
-from app import rooms  # noqa: F401  (registers keys that cases have)
+from app import extensions  # noqa: F401  (registers keys that cases have)
 from app.system.layout import table
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -19,7 +19,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from app import rooms  # noqa: F401  (registers keys that cases have)
+from app import extensions  # noqa: F401  (registers keys that cases have)
 from app.case.case import load
 from app.numerics.choice import SolverChoice
 from app.plots import figures

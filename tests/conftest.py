@@ -12,7 +12,7 @@ from mpi4py import MPI  # noqa: F401  (libraries of wheels find MPI by it)
 import pytest
 from hypothesis import settings
 
-from app import rooms  # noqa: F401  (registers keys that cases have)
+from app import extensions  # noqa: F401  (registers keys that cases have)
 
 # How long an example takes is the machine's business.
 settings.register_profile("mantle", deadline=None, max_examples=50)

@@ -58,6 +58,7 @@ WORDS: dict[str, tuple[str, ...]] = {
     "press_fit": ("interfaces.interference", "interfaces.gap"),
     "cementless": ("geometry.cement_thickness", "interfaces.interference"),
     "coating": ("interfaces.zones",),
+    "compliance": ("interfaces.elastic_layer",),
     # Supports and loads
     "encastre": ("supports: fixed",),
     "clamp": ("supports: fixed",),

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import meshes
-from app import rooms as rooms  # registers them
+from app import extensions as extensions  # registers them
 from app.case import points
 from app.case.case import LoadedCase
 from app.case.case import load as load_case

@@ -75,7 +75,7 @@ MORTAR_POINTS = 12
 FINITE_SLIDING_KEYS = ("between", "quadrature")
 # Message for these keys in other laws.
 SMALL_SLIDING_ONLY = (
-    "is limited to small sliding; for finite sliding use `kind: contact` without `compliance`"
+    "is limited to small sliding; for finite sliding use `kind: contact` without `elastic_layer`"
 )
 # Default ratio of the augmentation to the stiffness against a jump.
 DEFAULT_AUGMENTATION = 0.2
@@ -600,20 +600,20 @@ class Unilateral(Frictional):
         )
 
 
-class Compliance(Section):
-    """An elastic layer in series with contact."""
+class ElasticLayer(Section):
+    """An elastic layer in series with contact, by its stiffnesses."""
 
     normal: PositiveStiffness | None = None
-    """Pressure per approach; rigid by default."""
+    """Pressure per compression of the layer; rigid by default."""
     tangential: PositiveStiffness
-    """Shear per elastic shift."""
+    """Shear stress per shear displacement of the layer."""
 
 
 class Coulomb(Unilateral):
     """Unilateral contact with Coulomb friction, exactly: augmented Lagrangian."""
 
     kind: Literal["contact"] = "contact"
-    compliance: Compliance | None = None
+    elastic_layer: ElasticLayer | None = None
     """Elastic layer in series with contact; none by default. Slip excludes its elastic part."""
     sliding: Literal["small", "finite"] = "small"
     """Small sliding: less than a facet. Finite sliding: any distance, for bodies with separate
@@ -633,8 +633,8 @@ class Coulomb(Unilateral):
         for key in FINITE_SLIDING_KEYS:
             if getattr(self, key) is not None and not finite:
                 fail("needs `sliding: finite` in the same interface", at=(key,))
-        if self.compliance is not None and finite:
-            fail(f"contact with compliance {SMALL_SLIDING_ONLY}", at=("compliance",))
+        if self.elastic_layer is not None and finite:
+            fail(f"contact with an elastic layer {SMALL_SLIDING_ONLY}", at=("elastic_layer",))
         return self
 
     @property
@@ -654,11 +654,11 @@ class Coulomb(Unilateral):
 
     @property
     def layer(self) -> tuple[float, float] | None:
-        """The stiffnesses of `compliance`."""
-        if self.compliance is None:
+        """The stiffnesses of `elastic_layer`."""
+        if self.elastic_layer is None:
             return None
-        normal = self.compliance.normal
-        return math.inf if normal is None else normal, self.compliance.tangential
+        normal = self.elastic_layer.normal
+        return math.inf if normal is None else normal, self.elastic_layer.tangential
 
     def augmentation_of(self, local_stiffness: Floats, factor: float) -> Floats | float:
         """The given augmentation, or the default."""

@@ -94,8 +94,7 @@ class Load(Extensible, Named):
 
     # True if its direction is fixed in space while its body rotates.
     fixed_in_space: ClassVar[bool] = False
-    # Value at a time, if no history gives it.
-    _value: Callable[[float], float] | None = PrivateAttr(None)
+    _followed: Callable[[float], float] | None = PrivateAttr(None)
 
     # A `Literal` in each subclass.
     kind: Any
@@ -166,7 +165,11 @@ class Load(Extensible, Named):
 
     def amplitude(self, time: float) -> float:
         """Multiplier at a time (stage k runs from k to k + 1) [-]."""
-        return self._value(time) if self._value else amplitude(self.history, time)
+        return self._followed(time) if self._followed else amplitude(self.history, time)
+
+    def follow(self, amplitude_at: Callable[[float], float]) -> None:
+        """Let the multiplier follow a function of time instead of the history."""
+        self._followed = amplitude_at
 
     @property
     def resultant(self) -> tuple[float, float, float] | None:

@@ -150,10 +150,22 @@ class Elastic(Material):
 
     eigenstrains: Annotated[tuple[Eigenstrain, ...], ITEMS] = ()
     """Strains without stress; their sum acts."""
-    # The geometry of the case, for a field that gives the stiffness.
     _geometry: Any = None
-    # Density that gives the stiffness, if it changes in a run.
-    _density: ChangingDensity | None = None
+    _changing_density: ChangingDensity | None = None
+
+    @property
+    def changing_density(self) -> ChangingDensity | None:
+        """Density that gives the stiffness, if it changes in a run."""
+        return self._changing_density
+
+    def complete(self, geometry: Any, changing_density: ChangingDensity | None) -> None:
+        """Set what other sections of the case give.
+
+        Args:
+            geometry: The geometry, for a field that gives the stiffness.
+            changing_density: Density that gives the stiffness, if it changes in a run.
+        """
+        self._geometry, self._changing_density = geometry, changing_density
 
     @property
     def coefficients(self) -> tuple[float, ...]:
@@ -171,7 +183,7 @@ class Elastic(Material):
     @property
     def varies(self) -> bool:
         """True if the stiffness varies in space."""
-        return self._density is not None
+        return self._changing_density is not None
 
     def relative_stiffness(self, x: Floats) -> Floats:
         """Stiffness at points (n, 3) [mm] over the stiffness of `coefficients` (n,) [-]."""
@@ -250,7 +262,7 @@ class Isotropic(Elastic):
     @property
     def varies(self) -> bool:
         """True if Young's modulus is a table or a field."""
-        return not isinstance(self.youngs_modulus, float) or self._density is not None
+        return not isinstance(self.youngs_modulus, float) or self._changing_density is not None
 
     def relative_stiffness(self, x: Floats) -> Floats:
         """E(x) over the largest E."""

@@ -165,7 +165,7 @@ class BodyForms:
         self._tags = cell_tags(tagged)
         self._surface = SurfaceMeasure(tagged, bodies, scene.loaded_boundaries)
         self._constants = {e.region: self._region_constants(e) for e in scene.elastic}
-        changing = [e for e in scene.elastic if e._density]
+        changing = [e for e in scene.elastic if e.changing_density]
         self.by_density = tuple(e.region for e in changing)
         # None without such regions.
         self.density_at_start: Any = None
@@ -251,7 +251,7 @@ class BodyForms:
             (np.asarray(a) for a in rule) if mean else (points, np.ones(len(points)))
         )
         x, volumes = self.points_and_volumes(e.region, points_of_rule, weights)
-        changing_density = e._density
+        changing_density = e.changing_density
         if changing_density:
             values = (
                 modulus(
@@ -268,7 +268,7 @@ class BodyForms:
 
     def _density(self, e: Elastic) -> Floats:
         """Density of a region's modulus in the case at all vertices, within its bounds (n,)."""
-        changing = e._density
+        changing = e.changing_density
         assert changing is not None
         x = self.scalars.tabulate_dof_coordinates()
         E = e.moduli[0] * everywhere(self.mesh.comm, lambda: e.relative_stiffness(x))
@@ -294,7 +294,7 @@ class BodyForms:
     def follow_density(self) -> None:
         """Update the moduli that follow densities; collective."""
         for e in self.scene.elastic:
-            if e._density:
+            if e.changing_density:
                 self._relative_stiffness(e, self._relative_stiffness_fields[e.region])
 
     def _relative_stiffness(self, e: Elastic, g: fem.Function | None = None) -> fem.Function:
@@ -325,7 +325,7 @@ class BodyForms:
         return measure(degree=self._quadrature_degree(e)) if varies else measure
 
     def _quadrature_degree(self, e: Elastic) -> int:
-        by_density = e.modulus_field or e._density
+        by_density = e.modulus_field or e.changing_density
         return IMAGE_DEGREE if by_density and self.scene.order > 1 else self.varying_degree
 
     def elastic_strain(self, e: Elastic, v: Expr) -> Expr:

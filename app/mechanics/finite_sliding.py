@@ -16,7 +16,7 @@ It is a length along arcs, so that dissipation does not depend on the step. Rigi
 masters are alike here; `mechanics.followers` says in what they differ.
 
 Pairing is a part of Newton's system, so it stands with the mechanics. What is made of slip and
-pressure (wear, torque, heat of a cycle) is in the room `app/bearing`.
+pressure (wear, torque, heat of a cycle) is in the package `app/bearing`.
 """
 
 from __future__ import annotations

@@ -131,7 +131,7 @@ class Scene:
     @property
     def stiffness_varies(self) -> bool:
         """True if the stiffness varies from solve to solve: by cure or by density."""
-        return bool(self.cures) or any(e._density for e in self.elastic)
+        return bool(self.cures) or any(e.changing_density for e in self.elastic)
 
     def is_active(self, support: Support, stage: int) -> bool:
         """Return True if a support is active in a stage."""
@@ -357,8 +357,7 @@ def build_scene(case: Case) -> Scene:
     for densities in _DENSITIES:
         changing_densities.update(densities(case))
     for e in scene.elastic:
-        e._geometry = case.geometry
-        e._density = changing_densities.get(e.region)
+        e.complete(case.geometry, changing_densities.get(e.region))
     stage_names = [stage.name for stage in case.stages]
     loads_of = {
         index: stage_names.index(stage.extension_kind.loads(case))
@@ -428,7 +427,7 @@ def _loads(
         unit_force = force.named(
             name, force=direction, cycle_table=None, follows=None, history=None
         )
-        unit_force._value = partial(component, axis)
+        unit_force.follow(partial(component, axis))
         components.append(unit_force)
     return tuple(components)
 

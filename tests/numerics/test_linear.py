@@ -228,7 +228,7 @@ interfaces:
   lower_upper:
     kind: contact
     friction_coefficient: 0.8
-    compliance: {normal: 1000 MPa/mm, tangential: 1000 MPa/mm}
+    elastic_layer: {normal: 1000 MPa/mm, tangential: 1000 MPa/mm}
 supports: {base: {kind: fixed, boundary: bottom}}
 loads: {push: {kind: force, boundary: top, force: [20 N, 0 N, -100 N], at: [5 mm, 5 mm, 20 mm]}}
 solver: {linear: direct}
@@ -245,7 +245,7 @@ def test_krylov_iterations_do_not_grow_with_the_compliance_of_a_layer(
     (tmp_path / "case.yaml").write_text(LAYERED)
     changes = [f"regions.{name}.youngs_modulus={modulus} GPa" for name in ("lower", "upper")]
     changes += [
-        f"interfaces.lower_upper.compliance.{way}={layer} MPa/mm"
+        f"interfaces.lower_upper.elastic_layer.{way}={layer} MPa/mm"
         for way in ("normal", "tangential")
     ]
     summary = mantle.run(load(tmp_path / "case.yaml", changes), tmp_path / "out").summary

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import app.rooms  # noqa: F401 (registers the room)
+import app.extensions  # noqa: F401 (registers the package)
 from app.case.case import load
 from app.foundation.errors import InputError
 from app.laws.interface_laws import Coulomb

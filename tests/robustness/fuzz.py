@@ -25,7 +25,7 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from app import rooms  # noqa: F401  (registers keys that cases have)
+from app import extensions  # noqa: F401  (registers keys that cases have)
 from app.case import fit as fit_file
 from app.case import gmsh_header
 from app.case import study as study_file

@@ -251,7 +251,7 @@ def test_law_from_outside_breaks_by_given_energy_then_has_friction(tmp_path: Pat
     assert interface["dissipation"] > 1.6 and summary["balance"]["energy"] < 1e-8
 
 
-# The layer of `compliance` in series with contact, by the slot of a law.
+# The layer of `elastic_layer` in series with contact, by the slot of a law.
 CONTACT_LAYER = '''
 from typing import Literal
 from ufl import Identity, conditional, diff, dot, eq, inner, inv, outer, variable
@@ -312,7 +312,7 @@ def test_law_from_outside_layer_equals_compliance(tmp_path: Path) -> None:
     layer = "kind: contact_layer, coefficient: 0.3, normal: 150 MPa/mm, "
     layer += "tangential: 130 MPa/mm"
     built_in = "kind: contact, friction_coefficient: 0.3, "
-    built_in += "compliance: {normal: 150 MPa/mm, tangential: 130 MPa/mm}"
+    built_in += "elastic_layer: {normal: 150 MPa/mm, tangential: 130 MPa/mm}"
     runs = []
     for name, law in (("own", layer), ("built_in", built_in)):
         text = case.replace("kind: elastic_layer, stiffness: 50 MPa/mm", law)

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import pytest
 
-from app import rooms  # noqa: F401  (registers keys that problems have)
+from app import extensions  # noqa: F401  (registers keys that problems have)
 from app.verification.measures import difference_between
 from app.verification.problem import (
     SUITES,

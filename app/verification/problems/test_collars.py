@@ -34,8 +34,8 @@ def test_collar_in_parallel(problem: KnownProblem) -> None:
         tolerance=2e-3,  # the bone is not quite rigid
         source="springs in parallel",
     )
-    layer = f"compliance: {{normal: 10 MPa/mm, tangential: {BESIDE} MPa/mm}}"
-    compliance_under = f"compliance: {{normal: {UNDER} MPa/mm, tangential: {BESIDE} MPa/mm}}"
+    layer = f"elastic_layer: {{normal: 10 MPa/mm, tangential: {BESIDE} MPa/mm}}"
+    compliance_under = f"elastic_layer: {{normal: {UNDER} MPa/mm, tangential: {BESIDE} MPa/mm}}"
     solved = problem.solve(
         COLLARED,
         "geometry.resection.angle=0 deg",

@@ -78,7 +78,7 @@ def test_wall_penalty(problem: KnownProblem) -> None:
 POWERS = tuple(float(f"{10.0**k:.6g}") for k in range(9))
 FIRST_ORDER = "a body in series with a spring: errors fall with its stiffness"
 STEM = "stress/stem.yaml"
-LAYER = "interfaces.stem_cement.compliance={{normal: {0!r} MPa/mm, tangential: {0!r} MPa/mm}}"
+LAYER = "interfaces.stem_cement.elastic_layer={{normal: {0!r} MPa/mm, tangential: {0!r} MPa/mm}}"
 
 
 def orders(runs: Sequence[Run], stiffnesses: Sequence[float]) -> Comparison:
@@ -200,7 +200,7 @@ def test_layer_series(problem: KnownProblem) -> None:
         source="springs in series",
     )
     stiffnesses = [10.0**k for k in range(9)]
-    law = "interfaces.wall_bar.compliance.normal={} MPa/mm"
+    law = "interfaces.wall_bar.elastic_layer.normal={} MPa/mm"
     case = ("regions.bar.youngs_modulus=2200 MPa", *moved(0.0, -PRESS))
     runs = problem.solve_each(CASE, [(*case, law.format(k)) for k in stiffnesses])
     pressures = [PRESS / (1 / k + 2 / 2200) for k in stiffnesses]

@@ -5,4 +5,4 @@ Without the name and the folder of a package, the core runs every case that has 
 
 from app import bearing, fatigue, patient, press_fit, remodelling
 
-ROOMS = (bearing, fatigue, patient, press_fit, remodelling)
+EXTENSIONS = (bearing, fatigue, patient, press_fit, remodelling)

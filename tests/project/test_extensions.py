@@ -15,14 +15,14 @@ from tests import support
 from tests.project.sources import ROOT
 
 CORE = ("app", "forms", "meshes", "configs")
-# Rooms, with a key that each of them adds.
+# Extensions, with a key that each of them adds.
 KEYS = {
     "bearing": "interfaces.bone_cement.wear_coefficient=1e-6 mm^3/(N m)",
     "fatigue": "fatigue.region=bone",
     "patient": "geometry.kind=patient",
     "remodelling": "remodelling.lazy_zone=0.1",
 }
-# What the core says of these keys without the room.
+# What the core says of these keys without the extension.
 REFUSED = {
     "bearing": "interfaces.bone_cement.wear_coefficient: unknown key",
     "fatigue": "fatigue: unknown key",
@@ -32,17 +32,17 @@ REFUSED = {
 COARSE = ("mesh.size=3 mm", "mesh.order=1", "output.report=false", "output.fields=false")
 
 
-def without(room: str, copy: Path) -> Path:
-    """A copy of the program without a room and its line of registration."""
+def without(extension: str, copy: Path) -> Path:
+    """A copy of the program without an extension and its line of registration."""
     for folder in CORE:
         shutil.copytree(ROOT / folder, copy / folder)
     shutil.copy(ROOT / "mantle.py", copy)
-    shutil.rmtree(copy / "app" / room)
-    rooms = copy / "app" / "rooms.py"
-    text = rooms.read_text(encoding="utf-8")
-    text, names = re.subn(rf"\b{room}, |, {room}\b", "", text)
+    shutil.rmtree(copy / "app" / extension)
+    registration = copy / "app" / "extensions.py"
+    text = registration.read_text(encoding="utf-8")
+    text, names = re.subn(rf"\b{extension}, |, {extension}\b", "", text)
     assert names == 2
-    rooms.write_text(text, encoding="utf-8")
+    registration.write_text(text, encoding="utf-8")
     return copy
 
 
@@ -56,24 +56,24 @@ def run(program: Path, case: Path, *overrides: str) -> subprocess.CompletedProce
     )
 
 
-@pytest.mark.parametrize("room", KEYS)
-def test_rooms_core_runs_without_a_room(room: str, tmp_path: Path) -> None:
-    program = without(room, tmp_path / "program")
+@pytest.mark.parametrize("extension", KEYS)
+def test_extensions_core_runs_without_one(extension: str, tmp_path: Path) -> None:
+    program = without(extension, tmp_path / "program")
     case = program / "configs" / "blocks.yaml"
-    refused = run(program, case, *COARSE, KEYS[room])
+    refused = run(program, case, *COARSE, KEYS[extension])
     assert refused.returncode == 2
-    assert REFUSED[room] in refused.stderr
+    assert REFUSED[extension] in refused.stderr
     done = run(program, case, *COARSE)
     assert done.returncode == 0, done.stderr
     assert "converged" in done.stdout
 
 
-def test_rooms_core_names_no_section_of_a_room() -> None:
+def test_extensions_core_names_no_section_of_one() -> None:
     sections = {*KEYS, "press_fit", "stem_test"}
     assert not sections & Summary.__annotations__.keys()
 
 
-def test_rooms_core_solves_finite_sliding_without_the_room_of_bearings(tmp_path: Path) -> None:
+def test_extensions_core_solves_finite_sliding_without_bearings(tmp_path: Path) -> None:
     """Contact is solved; there are no numbers of sliding, and heat between the sides is refused."""
     program = without("bearing", tmp_path / "program")
     case = program / "configs" / "verification" / "drawn_block.yaml"
