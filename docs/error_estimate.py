@@ -346,30 +346,64 @@ class Judged(NamedTuple):
     error: float
 
 
-def judged(folder: Path, hip: str, mesh: str) -> Iterator[Judged]:
-    """The numbers of a hip on a mesh that are not zero; none if a run failed."""
+class Estimated(NamedTuple):
+    """The summary of a run with errors, that of the reference, and the largest value by unit."""
+
+    summary: dict[str, Any]
+    truth: dict[str, Any]
+    largest: dict[str, float]
+
+
+def estimated(folder: Path, hip: str, mesh: str) -> Estimated | None:
+    """The summary of a hip on a mesh with errors; None if a run failed."""
     coarse, truth = numbers(folder, hip, mesh), numbers(folder, hip, "truth")
     if not coarse or not truth:
-        return
+        return None
     case = case_of(folder, hip, mesh)
     companions = enumerate(error_estimate.companions(case))
     solved = [(c, numbers(folder, hip, f"{mesh}-{k}")) for k, c in companions]
-    estimated = copy.deepcopy(coarse)
-    error_estimate.estimate(estimated, case, [(c, n) for c, n in solved if n])
-    largest = largest_of_units(estimated)
+    summary = copy.deepcopy(coarse)
+    error_estimate.estimate(summary, case, [(c, n) for c, n in solved if n])
+    return Estimated(summary, truth, largest_of_units(summary))
+
+
+def judged(folder: Path, hip: str, mesh: str, parts: bool = False) -> Iterator[Judged]:
+    """The numbers of a hip on a mesh that are not zero, or those of rims, tips and coats alone."""
+    run = estimated(folder, hip, mesh)
+    if run is None:
+        return
     classes = HEAT_CLASSES if hip in HEAT_SCENES else CLASSES
-    exact = {(section, name): own_ for section, name, own_ in numbers_of(truth)}
-    for section, name, own_ in numbers_of(estimated):
-        for key, q in TABLE[section].items():
+    exact = {(section, name): own_ for section, name, own_ in numbers_of(run.truth, parts)}
+    whole = {(section, name) for section, name, _ in numbers_of(run.summary)} if parts else set()
+    for section, name, own_ in numbers_of(run.summary, parts):
+        for key, q in TABLE[section].items() if (section, name) not in whole else ():
             estimate, value = own_.get(f"{key}_error"), own_.get(key)
-            right = exact[section, name].get(key)
+            right = exact.get((section, name), {}).get(key)
             if estimate is None or right is None or q.vector or q.order not in classes:
                 continue
             error = abs(value - right)
             # Initial temperatures, for one, are exact.
-            rounding = hip in HEAT_SCENES and max(error, estimate) <= ROUNDING * largest[q.unit]
-            if not is_zero(value, estimate, largest[q.unit]) and not rounding:
+            rounding = hip in HEAT_SCENES and max(error, estimate) <= ROUNDING * run.largest[q.unit]
+            if not is_zero(value, estimate, run.largest[q.unit]) and not rounding:
                 yield Judged(f"{name}.{key}", classes[q.order], abs(value), estimate, error)
+
+
+def judged_zones(folder: Path, hip: str, mesh: str) -> Iterator[Judged]:
+    """The numbers of the Gruen zones of a hip on a mesh that are not zero."""
+    run = estimated(folder, hip, mesh)
+    for zone, own_ in run.summary["gruen"].items() if run else ():
+        tables = {"": (own_["strain_energy_density"], own_.get("strain_energy_density_error", {}))}
+        for name, values in own_["interfaces"].items():
+            errors = {k: values[f"{k}_error"] for k in values if f"{k}_error" in values}
+            tables[name] = values, errors
+        for name, (values, errors) in tables.items():
+            there = run.truth["gruen"][zone]
+            exact = there["interfaces"][name] if name else there["strain_energy_density"]
+            for key, estimate in errors.items():
+                if values[key]:
+                    kind = CLASSES[TABLE["interfaces"][key].order] if name else "stresses"
+                    error = abs(values[key] - exact[key])
+                    yield Judged(f"{zone}.{name}.{key}", kind, abs(values[key]), estimate, error)
 
 
 def share(rows: list[Judged]) -> str:
@@ -400,6 +434,28 @@ def table(folder: Path) -> None:
                 sys.stdout.write(f"| {name} | {cells} | {len(every)} |\n")
 
 
+def parts_table(folder: Path) -> None:
+    """Print the table of parts: rims and tips, then Gruen zones of the tested hips."""
+    sys.stdout.write(
+        "| parts | motions | slips | tractions | stresses | worst hip | all | numbers |\n"
+    )
+    sys.stdout.write("|---|---|---|---|---|---|---|---|\n")
+    for order, words in (("", "second order"), ("p1", "first order")):
+        for title in ("rim and tip", "Gruen zones"):
+            of_hip: dict[str, list[Judged]] = {}
+            for hip in TESTED:
+                for size in SIZES:
+                    mesh = f"{size:g}{order}"
+                    rows = judged(folder, hip, mesh, parts=True)
+                    rows = judged_zones(folder, hip, mesh) if title == "Gruen zones" else rows
+                    of_hip.setdefault(hip, []).extend(rows)
+            every = [row for rows in of_hip.values() for row in rows]
+            by_class = [share([r for r in every if r.kind == kind]) for kind in CLASSES.values()]
+            worst = min((share(rows) for rows in of_hip.values()), key=lambda s: float(s[:2]))
+            cells = " | ".join([*by_class, worst, share(every)])
+            sys.stdout.write(f"| {title}, {words} | {cells} | {len(every)} |\n")
+
+
 def heat_table(folder: Path) -> None:
     """Print the table of heat: numbers that are resolved, and the part of those that are not."""
     sys.stdout.write("| heat | 8 mm | 6 mm | 4 mm | all | numbers | not resolved (%) |\n")
@@ -428,6 +484,7 @@ def main(command: str, place: str, *rest: str) -> None:
         solve(folder, *rest)
     else:
         table(folder)
+        parts_table(folder)
         heat_table(folder)
 
 

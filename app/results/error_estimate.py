@@ -6,8 +6,11 @@ A number X of a run on a mesh of size h has the estimated error
 
 where :math:`X_{2h}` is the number of a companion on a mesh of size 2 h. The median m of
 :math:`|X_h - X_{2h}| / |X_h|` is taken over the numbers of a group (`LIKE`). The second term is
-needed because two meshes may agree by chance. For temperatures the second term is a factor times
-the change to a mesh of size 3 h, if there is such a companion.
+needed because two meshes may agree by chance. Numbers of parts (rim, tip, coats, Gruen zones)
+change more from mesh to mesh than those of whole interfaces: they have a median and a factor b of
+their own. For a Gruen zone, :math:`|X_h|` is at least a quarter of the mean over all zones. For
+temperatures the second term is a factor times the change to a mesh of size 3 h, if there is such a
+companion.
 
 The factors a and b of each class were fitted to six hips and to scenes with heat. They were tested
 on other cases (docs/verification.md). The order of convergence alone also gives a factor a. With
@@ -75,6 +78,18 @@ FACTORS = {
 }
 # Factors on the changes to two coarser meshes, the finer one first, of classes that use both.
 TWO_MESHES = {ORDER_OF_HEAT: (1.75, 1.25)}
+# Factor b of numbers of parts, fitted to four hips (docs/verification.md).
+FACTOR_OF_PARTS = {
+    ORDER_OF_MOTION: (3.5, 1.75),
+    ORDER_OF_SLIP: (6.0, 3.25),
+    ORDER_OF_TRACTION: (3.0, 2.5),
+    ORDER_OF_STRESS: (2.5, 0.5),
+    ORDER_OF_RISK: (2.5, 0.5),
+    ORDER_OF_HEAT: (0.0, 0.0),
+    ORDER_OF_DOSE: (5.0, 1.5),
+}
+# Size of a number of a Gruen zone over the mean of all zones, at least.
+LEAST_OF_MEAN = 0.25
 # Classes that share their median change.
 LIKE = {
     ORDER_OF_SLIP: ORDER_OF_MOTION,
@@ -114,6 +129,38 @@ class Companion:
 
 
 Orders = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """An error that may be small by chance.
+
+    Attributes:
+        errors: Table with the error.
+        key: Key of the error in it.
+        orders: Orders of convergence of the number at first and second order.
+        size: Size of the number.
+        of_part: True for a number of a part.
+        in_median: True if the change of the number counts in the median.
+    """
+
+    errors: Numbers
+    key: str
+    orders: Orders
+    size: float
+    of_part: bool
+    in_median: bool = True
+
+    def change(self, order: int) -> float:
+        """Relative change to the companion [-]."""
+        return float(self.errors[self.key]) / (FACTORS[self.orders][order][0] * self.size)
+
+    @property
+    def group(self) -> tuple[bool, Orders]:
+        """Parts or not, and class: numbers of a group have one median."""
+        return self.of_part, LIKE.get(self.orders, self.orders)
+
+
 # Companions with their sections, and with numbers of one owner.
 Solved = Sequence[tuple[Companion, Summary]]
 Others = Sequence[tuple[Companion, Numbers]]
@@ -187,8 +234,7 @@ def estimate(run: Summary, case: Case, solved: Solved) -> dict[str, list[list[fl
     """
     order = case.mesh.order - 1
     unsettled: list[tuple[float, str, list[list[float]]]] = []
-    changes: dict[Orders, list[float]] = {}
-    estimated_numbers: list[tuple[Numbers, str, Orders]] = []
+    estimated_numbers: list[Estimated] = []
     tables = list(numbers_of(run, parts=True))
     companions_by_owner = [
         (companion, {(s, n): q for s, n, q in numbers_of(companion_summary, parts=True)})
@@ -213,13 +259,18 @@ def estimate(run: Summary, case: Case, solved: Solved) -> dict[str, list[list[fl
         )
         for q in available if section in CHANCE or section in ADDED else ():
             error, value = numbers.get(f"{q.key}_error"), numbers[q.key]
-            if error is not None and not q.vector and q.order in FACTORS and value:
-                change = error / (FACTORS[q.order][order][0] * abs(value))
-                if is_zero(value, change * abs(value), largest[q.unit]):
-                    continue
-                if (section, name) in run_numbers and section != OUTSIDE_MEDIAN:
-                    changes.setdefault(LIKE.get(q.order, q.order), []).append(change)
-                estimated_numbers.append((numbers, q.key, q.order))
+            if error is None or q.vector or q.order not in FACTORS or not value:
+                continue
+            estimated = Estimated(
+                numbers,
+                f"{q.key}_error",
+                q.order,
+                abs(value),
+                of_part=(section, name) not in run_numbers,
+                in_median=section != OUTSIDE_MEDIAN,
+            )
+            if not is_zero(value, estimated.change(order) * abs(value), largest[q.unit]):
+                estimated_numbers.append(estimated)
         for q in available:
             if not q.peak:
                 continue
@@ -229,8 +280,8 @@ def estimate(run: Summary, case: Case, solved: Solved) -> dict[str, list[list[fl
             )
             if change is not None:
                 unsettled.append((change, f"{name}.{q.key}", values))
-    _add_zone_errors(run, order, solved)
-    _raise_to_typical_errors(estimated_numbers, changes, order)
+    estimated_numbers += _zone_errors(run, order, solved)
+    _raise_to_typical_errors(estimated_numbers, order)
     largest_first = sorted(unsettled, key=lambda peak: peak[0], reverse=True)
     return {name: values for _, name, values in largest_first}
 
@@ -258,24 +309,26 @@ def _unsettled_change(
     return change / max(size, abs(coarser_value)) if change > UNSETTLED * size else None
 
 
-def _raise_to_typical_errors(
-    estimated_numbers: Sequence[tuple[Numbers, str, Orders]],
-    changes: Mapping[Orders, Sequence[float]],
-    order: int,
-) -> None:
-    """Raise errors that are small by chance, to a fraction of the median of their class.
+def _raise_to_typical_errors(estimated_numbers: Sequence[Estimated], order: int) -> None:
+    """Raise errors that are small by chance, to a fraction of the median of their group.
 
     Args:
-        estimated_numbers: Tables of numbers with the key and the class of each estimated number.
-        changes: Relative changes of the numbers of each class [-].
+        estimated_numbers: The errors.
         order: Polynomial order of the displacement less one.
     """
-    typical = {orders: float(np.median(of_class)) for orders, of_class in changes.items()}
-    for numbers, key, orders in estimated_numbers:
-        smallest_error = (
-            FACTORS[orders][order][1] * typical[LIKE.get(orders, orders)] * abs(numbers[key])
+    changes: dict[tuple[bool, Orders], list[float]] = {}
+    for number in estimated_numbers:
+        if number.in_median:
+            changes.setdefault(number.group, []).append(number.change(order))
+    typical = {group: float(np.median(of_group)) for group, of_group in changes.items()}
+    for number in estimated_numbers:
+        factor = (
+            FACTOR_OF_PARTS[number.orders][order]
+            if number.of_part
+            else FACTORS[number.orders][order][1]
         )
-        numbers[f"{key}_error"] = max(numbers[f"{key}_error"], smallest_error)
+        smallest_error = factor * typical[number.group] * number.size
+        number.errors[number.key] = max(number.errors[number.key], smallest_error)
 
 
 def largest_of_units(summary: Summary) -> dict[str, float]:
@@ -304,20 +357,42 @@ def is_zero(value: float, change: float, largest: float) -> bool:
     return size <= ROUNDING * largest or (size < SMALL * largest and change >= size)
 
 
-def _add_zone_errors(run: Summary, order: int, solved: Solved) -> None:
-    """Add errors to the means of interfaces and the strain energy of Gruen zones."""
-    for zone, numbers in run.get("gruen", {}).items():
+def _zone_errors(run: Summary, order: int, solved: Solved) -> list[Estimated]:
+    """Add errors to the means of interfaces and the strain energy of Gruen zones; return them."""
+    zones = run.get("gruen", {})
+    estimated_numbers: list[Estimated] = []
+
+    def estimate_part(errors: Numbers, key: str, orders: Orders, values: Sequence[float]) -> None:
+        """Keep an error, by the value of its zone and the values of all zones."""
+        size = max(abs(values[0]), LEAST_OF_MEAN * float(np.mean(np.abs(values[1:]))))
+        if size:
+            estimated_numbers.append(Estimated(errors, key, orders, size, of_part=True))
+
+    for zone, numbers in zones.items():
         companion_numbers = [
             (companion, companion_summary.get("gruen", {}).get(zone, {}))
             for companion, companion_summary in solved
         ]
         for name, at_interface in numbers["interfaces"].items():
-            orders = {k: ORDER_OF_MOTION for k in at_interface if k.endswith("_mean")}
+            orders = {
+                q.key: q.order
+                for q in TABLE["interfaces"].values()
+                if q.order and q.key.endswith("_mean") and q.key in at_interface
+            }
             relatives = [
                 (companion, companion_summary.get("interfaces", {}).get(name, {}))
                 for companion, companion_summary in companion_numbers
             ]
             _add_errors(at_interface, orders, order, relatives)
+            for key in orders:
+                if f"{key}_error" in at_interface:
+                    in_zones = [
+                        z["interfaces"][name][key]
+                        for z in zones.values()
+                        if key in z["interfaces"].get(name, {})
+                    ]
+                    values = at_interface[key], *in_zones
+                    estimate_part(at_interface, f"{key}_error", orders[key], values)
         density = numbers["strain_energy_density"]
         relatives = [
             (companion, companion_summary.get("strain_energy_density", {}))
@@ -331,6 +406,14 @@ def _add_zone_errors(run: Summary, order: int, solved: Solved) -> None:
         }
         if known_errors:
             numbers["strain_energy_density_error"] = known_errors
+        for region in known_errors:
+            in_zones = [
+                z["strain_energy_density"][region]
+                for z in zones.values()
+                if region in z["strain_energy_density"]
+            ]
+            estimate_part(known_errors, region, ORDER_OF_STRESS, (density[region], *in_zones))
+    return estimated_numbers
 
 
 def _add_errors(

@@ -228,15 +228,40 @@ def test_error_estimate_of_gruen_zones() -> None:
     other = {"interfaces": {}, "gruen": {"1": zone(1.1, "cortex")}}
     compared(run, this, other)
     first, second = run["gruen"]["1"], run["gruen"]["2"]
+    # All change by a tenth, so that this is their median.
+    a, b = (
+        table[quantities.ORDER_OF_MOTION][1]
+        for table in (error_estimate.FACTORS, error_estimate.FACTOR_OF_PARTS)
+    )
     assert first["interfaces"]["a_b"] == pytest.approx(
-        {"gap_mean": 2, "gap_max": 3, "area": 5}
-        | {"gap_mean_error": 0.2 * error_estimate.FACTORS[quantities.ORDER_OF_MOTION][1][0]}
+        {"gap_mean": 2, "gap_max": 3, "area": 5} | {"gap_mean_error": 0.2 * max(a[0], b)}
+    )
+    a, b = (
+        table[quantities.ORDER_OF_STRESS][1]
+        for table in (error_estimate.FACTORS, error_estimate.FACTOR_OF_PARTS)
     )
     errors = first["strain_energy_density_error"]
-    assert errors == pytest.approx(
-        {"cortex": 0.4 * error_estimate.FACTORS[quantities.ORDER_OF_STRESS][1][0]}
-    )
+    assert errors == pytest.approx({"cortex": 0.4 * max(a[0], b)})
     assert second == zone(1.0)
+
+
+def test_error_estimate_raises_accidentally_small_errors_of_zones() -> None:
+    """To b times the median of parts; small values have the error of a quarter of the mean."""
+    this = case("interfaces.lower_upper.friction_coefficient=0")
+
+    def on(*pressures: float) -> dict[str, Any]:
+        zones = {
+            str(k): {"interfaces": {"a_b": {"pressure_mean": p}}, "strain_energy_density": {}}
+            for k, p in enumerate(pressures)
+        }
+        return {"interfaces": {"a_b": {"pressure_mean": 3.0}}, "gruen": zones}
+
+    run = on(4.0, 4.0, 4.0, 0.0, 8.0, 4.0)
+    compared(run, this, on(4.8, 4.8, 4.0, 0.0, 9.6, 4.8) | {"interfaces": {"a_b": {}}})
+    b = error_estimate.FACTOR_OF_PARTS[quantities.ORDER_OF_MOTION][1]
+    errors = [z["interfaces"]["a_b"]["pressure_mean_error"] for z in run["gruen"].values()]
+    # The median change is a fifth, and the mean of the zones is 4.
+    assert errors[2:4] == pytest.approx([0.2 * b * 4.0, 0.2 * b * 1.0])
 
 
 def test_error_estimate_of_steps_on_one_coarser_mesh() -> None:
