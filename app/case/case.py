@@ -331,6 +331,8 @@ def resolve(file: CaseFile, folder: Path) -> Case:
         InputError: As `load`.
     """
     case, faults = valid_parts(file.data, folder)
+    if file.incomplete:
+        file.raise_all([fault for fault in faults if fault.path[:1] not in file.incomplete])
     case = _with_tissues(case, file.tissues)
     file.raise_all([*faults, *checks.cross_check(case)])
     if isinstance(case.geometry, MeshFile):

@@ -132,7 +132,9 @@ def _loads(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[ob
             if isinstance(set_names, dict)
             else _set(case, set_names, path)
         )
-        lower = loads_of_sets or lower
+        if not loads_of_sets:
+            return lower, _without_keys(upper, *MEASURED, *TIME_KEYS)
+        lower = loads_of_sets
     loads = lower if isinstance(lower, dict) else {}
     if MEASURED.keys() & upper:
         lower = loads = _scaled_loads(case, loads, upper)

@@ -68,8 +68,9 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
         case.data = _merged(case, below, upper, ())
         case.places |= file.places
         _place_in_time(case, file.places)
-    if len(case.complaints) > complaints_before:
-        case.raise_all([])  # what they leave incomplete has other errors
+    case.incomplete = {fault.path[:1] for fault in case.complaints[complaints_before:]}
+    if case.incomplete and overrides:
+        case.raise_all([])  # overrides of what is missing would have false errors
     apply(case, overrides)
     if case.data.pop("study", None) is not None:
         case.complaints.append(Fault(("study",), SEPARATE_STUDY))

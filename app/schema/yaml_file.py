@@ -92,6 +92,7 @@ class CaseFile:
         data: Mappings, lists and scalars.
         places: Place of each path.
         complaints: Errors of reading.
+        incomplete: Paths of sections that complaints leave incomplete: more errors may be false.
         notes: Notes on what was read, such as former names of keys.
         given: Values of overrides as given, by key.
         digests: SHA-256 of the file, its bases and libraries, by name.
@@ -106,6 +107,7 @@ class CaseFile:
     data: YamlMapping = field(default_factory=dict)
     places: dict[Path, Place] = field(default_factory=dict)
     complaints: list[Fault] = field(default_factory=list)
+    incomplete: set[Path] = field(default_factory=set)
     notes: list[Verdict] = field(default_factory=list)
     given: dict[str, object] = field(default_factory=dict)
     digests: dict[str, str] = field(default_factory=dict)

@@ -367,6 +367,19 @@ def test_overlay_refuses_keys_that_a_base_lacks(text: str, message: str, tmp_pat
     assert re.sub(rf"{library.SHIPPED}:\d+", "LIBRARY", complaint).startswith(message)
 
 
+def test_overlay_reports_errors_of_other_sections_too(tmp_path: Path) -> None:
+    """What a wrong name leaves out has no further errors: forces for a body weight, moduli."""
+    loads, mesh = "loads: {library: gaits, body_weight: 600 N}", "mesh: {ordr: 2}"
+    text = f"base: blocks.yaml\n{loads}\n{mesh}\nregions: {{upper: {{material: Ti}}}}\n"
+    path = write(tmp_path, blocks=BLOCKS, case=text)
+    found = [": ".join(message.split(": ")[1:3]) for message in messages(path)]
+    assert [text.split("; ")[0] for text in found] == [
+        "loads.library: 'gaits' is not in the library",
+        "mesh.ordr: unknown key",
+        "regions.upper.material: 'Ti' is not in the library",
+    ]
+
+
 def test_library_of_the_user(tmp_path: Path) -> None:
     entries = """\
 materials:
