@@ -151,10 +151,16 @@ def life(laws: Mapping[str, Numbers]) -> str:
         remedy = "add another law, or run with --error"
         return f"the life is not shown without an uncertainty ({causes}): {remedy}"
     shortest_life, longest_life = (
-        f"{float(f'{1 / damage:.2g}'):g}" if damage > 0 else "endless"
+        f"{float(f'{1 / damage:.2g}'):g}" if damage > 0 else ""
         for damage in (largest_damage, smallest_damage)
     )
-    life = f"99 % of the volume lasts {shortest_life} to {longest_life} years, {causes}"
+    if not shortest_life:
+        years = "without end"
+    elif not longest_life:
+        years = f"at least {shortest_life} years; an upper limit is not resolved"
+    else:
+        years = f"{shortest_life} to {longest_life} years"
+    life = f"99 % of the volume lasts {years}, {causes}"
     return f"{life}: for comparison, not for prediction"
 
 

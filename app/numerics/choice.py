@@ -87,7 +87,9 @@ class SolverChoice:
         """
         solves = "1 solve" if self.solves == 1 else f"{self.solves:g} solves"
         if condensed:
-            return f"{solves}, by condensation onto the jumps, {_gigabytes(self.memory_needed)}"
+            memory = _gigabytes(self.memory_needed)
+            size = f"{count(self.size)} displacement unknowns"
+            return f"{solves} of {size} by condensation onto the jumps, {memory}"
         return f"{solves} by a Krylov method, because {self._reason_against(linear)}"
 
     def _reason_against(self, linear: str) -> str:

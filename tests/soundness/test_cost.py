@@ -68,7 +68,8 @@ def contact_line(name: str, *changes: str, available: float = 1e10) -> str:
 def test_cost_check_names_the_solver_and_reason() -> None:
     """By count of solves, order, memory and what is asked for; beside heat of contact, nothing."""
     small = contact_line("stance", "mesh.size=10 mm")
-    assert "1 solve, by condensation onto the jumps" in small and small.endswith(" GB")
+    condensed = r"1 solve of [\d,]+ displacement unknowns by condensation onto the jumps, [\d.]+ GB"
+    assert re.search(f"{condensed}$", small)
     krylov = "1 solve by a Krylov method, because "
     limit = "displacement unknowns exceed 60,000, the limit of condensation"
     large = re.search(f"{krylov}(.*) {limit}", contact_line("stance"))
@@ -81,7 +82,7 @@ def test_cost_check_names_the_solver_and_reason() -> None:
     assert f"{krylov}condensation needs " in little and little.endswith(" and may take 0.5 GB")
     few = contact_line("blocks", "mesh.order=2", "mesh.size=10 mm")
     assert f"{krylov}condensation is not faster for " in few
-    assert "1999 solves, by condensation onto the jumps" in contact_line("walk")
+    assert "1999 solves of " in contact_line("walk")
     assert not contact_line("cure")
 
 
