@@ -865,11 +865,13 @@ def find(name: str) -> Quantity:
 
 
 def place_in_words(place: str) -> str:
-    """An interface, a region or a part of one for people: ``stem-cement rim``."""
-    full_place, _, part = place.rpartition("_")
-    if part in PARTS and full_place in PLACES:
-        return f"{PLACES[full_place]} {part}"
-    return PLACES.get(place, place.replace("_", " "))
+    """An interface, a region, a part or a zone of one for people: ``stem-cement rim``."""
+    if place in PLACES:
+        return PLACES[place]
+    wholes = [whole for whole in PLACES if place.startswith(f"{whole}_")]
+    whole = max(wholes, key=len, default="")
+    part = place.removeprefix(whole).strip("_").replace("_", " ")
+    return f"{PLACES[whole]} {part}" if whole else part
 
 
 def in_words(name: str) -> tuple[str, str]:

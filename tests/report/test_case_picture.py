@@ -81,3 +81,17 @@ def test_case_picture_long_title_and_legend_fit(
     _, height = figure.bbox.size
     assert all(box.y0 >= 0 and box.y1 <= height for box in boxes)
     assert not [(a, b) for a, b in combinations(boxes, 2) if a.overlaps(b)]
+
+
+def test_case_picture_legend_has_the_friction_of_zones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[Any] = []
+    new = figures.new
+    monkeypatch.setattr(figures, "new", lambda *size: made.append(new(*size)) or made[-1])
+    zones = "interfaces.stem_bone.zones={half_coated: {above: 80 mm, friction_coefficient: 0.6}}"
+    case = load(support.CONFIGS / "pressed.yaml", ["mesh.size=12 mm", zones]).config
+    data = build(case.geometry, case.mesh, folders.cache("meshes"))
+    case_picture.draw(case, data, tmp_path / "case.png")
+    legends = [text.get_text() for legend in made[0].legends for text in legend.get_texts()]
+    assert any(text.endswith(", half coated 0.6") for text in legends)

@@ -436,3 +436,16 @@ def test_run_report_has_landmarks_if_the_files_of_the_case_are_there(tmp_path: P
         "base: stance\ngeometry: {kind: patient, bone: {image: removed.nii.gz, label: 1}}"
     )
     assert run_report._landmarks(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ("stem_cement", "stem-cement"),
+        ("stem_cement_rim", "stem-cement rim"),
+        ("stem_bone_half_coated", "stem-bone half coated"),
+        ("cortical_bone", "cortical bone"),
+    ],
+)
+def test_run_report_places_in_words(place: str, words: str) -> None:
+    assert quantities.place_in_words(place) == words
