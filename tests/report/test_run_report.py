@@ -16,7 +16,7 @@ import pytest
 import mantle
 from app.campaigns import uncertainty
 from app.case.points import UncertainInputs
-from app.case.quantities import TABLE
+from app.case.quantities import TABLE, place_in_words
 from app.cli import main
 from app.foundation.verdict import Verdict, note
 from app.plots import curves
@@ -448,4 +448,4 @@ def test_run_report_has_landmarks_if_the_files_of_the_case_are_there(tmp_path: P
     ],
 )
 def test_run_report_places_in_words(place: str, words: str) -> None:
-    assert quantities.place_in_words(place) == words
+    assert place_in_words(place) == words
