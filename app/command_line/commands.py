@@ -99,7 +99,8 @@ def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[
 def _case_path(path: Path) -> Path:
     """File of the case of a command: a file, or a shipped case by its name alone."""
     shipped = overlay.base_file(path.parent, str(path))
-    if path.exists():
+    # A folder of results may have the name of a shipped case.
+    if path.is_file() or (path.exists() and not shipped.exists()):
         return path
     if shipped.exists():
         return shipped

@@ -250,6 +250,8 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
     "--schema": dict(action="store_true", help="print the JSON schema of case files, for editors"),
 }
 LONG = {"-o": "--output"}
+# Commands whose output is no folder, with the word for it.
+WRITES = {"place": "FILE", "mesh": "PATH"}
 
 
 def options_of_commands() -> dict[str, str]:
@@ -313,6 +315,8 @@ def parser() -> argparse.ArgumentParser:
                 options = options | {
                     "help": OUTPUTS.get(name, f"folder of the results, default: out/{name}")
                 }
+                if name in WRITES:
+                    options["metavar"] = WRITES[name]
                 if name == "place":
                     options["type"] = Path
             elif argument == "--cores":

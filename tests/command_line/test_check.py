@@ -378,3 +378,13 @@ def test_check_finds_a_probe_outside_its_region(
     with pytest.raises(InputError) as caught:
         mantle.check(case)
     assert "output.probes.tip: " in str(caught.value) and where in str(caught.value)
+
+
+def test_check_finds_a_shipped_case_beside_a_folder_of_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A folder of results is often named after its case."""
+    (tmp_path / "blocks").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert main(["check", "blocks"]) == 0
+    assert "Patch test of three blocks" in capsys.readouterr().out
