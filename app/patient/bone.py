@@ -127,6 +127,11 @@ class PatientBone:
         """True if the model is the mirror image of the patient's bone: a right femur."""
         return self.frame.side == "right"
 
+    @property
+    def against_axes(self) -> bool:
+        """True if the axes of the file contradict the side: medial of a left femur is to right."""
+        return (float(self.frame.axes[0, 0]) > 0.0) != (self.frame.side == "left")
+
     def reach(self, azimuth: float, height: float) -> float:
         """Distance of the surface from the shaft's axis [mm].
 

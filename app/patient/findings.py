@@ -21,6 +21,15 @@ def _bone(case: Case) -> Iterable[Verdict]:
     if isinstance(case.geometry, Patient):
         for note_text in case.geometry.femur.notes:
             yield note(note_text, "geometry.bone")
+        for name, note_text in case.geometry.femur.frame.given_doubts:
+            yield note(note_text, f"geometry.landmarks.{name}")
+        if case.geometry.bone.image and case.geometry.femur.against_axes:
+            side = case.geometry.femur.frame.side
+            yield note(
+                f"the landmarks are those of a {side} femur, but by the axes of the image it is the"
+                " other side; is the image mirrored or rotated?",
+                "geometry.bone.image",
+            )
         longer = lengthening(case.geometry)
         if abs(longer) > DIFFERENT_LEG:
             word = "longer" if longer > 0 else "shorter"

@@ -205,14 +205,10 @@ def _assumptions(bone: Structure, ct: Path | None, proposal: Proposal) -> Iterat
 
 
 def _against_axes(femur: PatientBone) -> str:
-    """A warning if the axes of the image contradict the side.
-
-    To medial is to the right of a left femur.
-    """
-    to_right = float(femur.frame.axes[0, 0]) > 0.0
-    if to_right == (femur.frame.side == "left"):
-        return ", and the axes of the image agree"
-    return ". By the axes of the image it is the other side; is the image mirrored or rotated?"
+    """Whether the axes of the image agree with the side, in words."""
+    if femur.against_axes:
+        return ". By the axes of the image it is the other side; is the image mirrored or rotated?"
+    return ", and the axes of the image agree"
 
 
 def _canal(geometry: Patient, ct: Path | None) -> str:

@@ -43,7 +43,8 @@ SHAFT_BELOW_PLUG = 70.0  # mm of shaft below the plug, or what the surface has
 SurfaceFile = Annotated[Path, file(".stl", ".ply", ".obj")]
 ImageFile = Annotated[Path, file(folder=True)]
 Unit = Literal["mm", "cm", "m", "inch"]
-Place = Annotated[tuple[Number, Number, Number], Triple("[4.1, -28.4, -39.1]")]
+_Coordinate = Annotated[float, Plain(unit="mm")]
+Place = Annotated[tuple[_Coordinate, _Coordinate, _Coordinate], Triple("[4.1, -28.4, -39.1]")]
 Places = Annotated[tuple[Place, Place], Pair("[[31, -8, -98], [29, -17, -37]]")]
 
 
@@ -170,8 +171,11 @@ class Patient(OperatedHip):
             for part_name, paths in files.items():
                 if str(error).startswith(tuple(f"{path}:" for path in paths if path)):
                     fail(str(error), at=(part_name,))
-            key, _, message = str(error).removeprefix("geometry.").partition(": ")
-            fail(message, at=tuple(key.split(".")))
+            key, _, message = str(error).partition(": ")
+            keys_below = key.removeprefix("geometry").removeprefix(".").split(".")
+            fail(
+                message + self._given_landmarks(key), at=tuple(name for name in keys_below if name)
+            )
         lowest_z = self.femur.lowest
         plug_z = float(placement.to_model([0.0, 0.0, implant.plug])[2])
         level = self.distal_cut_z
@@ -235,6 +239,13 @@ class Patient(OperatedHip):
         """Landmarks that are given."""
         return tuple((k, v) for k, v in [("side", self.bone.side), *self.landmarks] if v)
 
+    def _given_landmarks(self, key: str) -> str:
+        """The given landmarks as a cause of an error, in words; empty if its key names one."""
+        names = ", ".join(f"landmarks.{name}" for name, value in self.landmarks if value)
+        if not names or key.startswith("geometry.landmarks"):
+            return ""
+        return f". Given landmarks may be wrong: {names}"
+
     @cached_property
     def femur(self) -> PatientBone:
         """The bone before the operation."""
@@ -281,7 +292,8 @@ class Patient(OperatedHip):
         try:
             self.surfaces(mesh)
         except GeometryError as error:
-            raise InputError(str(error)) from error
+            key = str(error).partition(": ")[0]
+            raise InputError(f"{error}{self._given_landmarks(key)}") from error
 
     @cached_property
     def points(self) -> dict[str, Point3]:

@@ -23,6 +23,7 @@ from app.foundation.arrays import Bools, Floats
 from app.foundation.errors import GeometryError
 from app.patient import shaft
 from app.patient.bone_surface import BoneSurface, mean_point_text
+from app.patient.given_landmarks import SHAFT_LEVEL, GivenLandmarks
 from meshes.femur_stem import unit
 from meshes.plane_sections import centroid, exits, section
 
@@ -77,6 +78,8 @@ class Frame:
         spread: Half-widths of the 90 % intervals of head [mm], neck, version and shaft [rad].
         length: Length of the surface along the shaft [mm].
         end: Level above which the surface is whole, in the model's axes [mm].
+        given: Names of the landmarks that were given.
+        given_doubts: Their names, and notes on them.
     """
 
     head: Floats
@@ -90,6 +93,8 @@ class Frame:
     spread: Mapping[str, float]
     length: float
     end: float
+    given: tuple[str, ...]
+    given_doubts: tuple[tuple[str, str], ...]
 
     def to_model(self, x: Floats) -> Floats:
         """Points (..., 3) in the model's axes, a right femur mirrored."""
@@ -112,6 +117,11 @@ class Frame:
         """Landmarks in words, with the intervals that hold 90 %."""
         degrees, spread = math.degrees, self.spread
         places = ["({:.1f}, {:.1f}, {:.1f}) mm".format(*x) for x in (self.head, self.trochanter)]
+        head_spread = f" ± {spread['head']:.1f}"
+        if "head_centre" in self.given:
+            head_spread = ", given"
+        if "lesser_trochanter" in self.given:
+            places[1] += ", given"
         version = "unknown without condyles: medial is along the neck"
         if self.version is not None:
             version = f"{degrees(self.version):.1f} deg ± {degrees(spread['version']):.1f}"
@@ -119,7 +129,7 @@ class Frame:
         angle_spread = degrees(math.hypot(spread["neck"], spread["shaft"]))
         return {
             "side": self.side + (", mirrored" if self.side == "right" else ""),
-            "head": f"{places[0]} ± {spread['head']:.1f}, radius {self.radius:.1f} mm",
+            "head": f"{places[0]}{head_spread}, radius {self.radius:.1f} mm",
             "lesser trochanter": places[1],
             "neck-shaft angle": f"{angle:.1f} deg ± {angle_spread:.1f}",
             "version": version,
@@ -154,7 +164,11 @@ class Frame:
             doubt = (
                 f"the neck-shaft angle is {angle:.1f} deg; expected {least:g} to {largest:g} deg"
             )
-            notes.append(f"{doubt}. Is the bone stretched along an axis?")
+            cause = "Is the bone stretched along an axis"
+            if self.given:
+                names = ", ".join(f"landmarks.{name}" for name in self.given)
+                cause = f"Is a given landmark wrong ({names}), or the bone stretched along an axis"
+            notes.append(f"{doubt}. {cause}?")
         least, largest = (ratio * self.radius for ratio in USUAL_LENGTHS)
         if self.version is not None and not least <= self.length <= largest:
             doubt = f"it is {self.length:.0f} mm long with its condyles; expected {least:.0f} to"
@@ -197,12 +211,20 @@ class _Finder:
         self.normal = 0.5 * np.cross(b - a, c - a)
         self.area, self.centre = _norms(self.normal), (a + b + c) / 3
         self.surface = surface
+        self.checked = GivenLandmarks(surface, dict(given))
         self._find_head(self._long_axis())
-        self.origin = self.head - 1.75 * self.radius * self.up
+        if "shaft" in given:
+            self.checked.check_shaft(self.head, self.radius, self.up)
+        self.origin = self.head - SHAFT_LEVEL * self.radius * self.up
         self.depth = float(self.head @ self.up - (self.x @ self.up).min())
         for _ in range(3):
             self._find_shaft()
             self._find_trochanter()
+        if "lesser_trochanter" in given:
+            depths = TROCHANTER_RANGE[0] * self.radius, TROCHANTER_RANGE[1] * self.radius
+            self.checked.check_trochanter(self.point, self.up, self.head, depths)
+        if "condyles" in given:
+            self.checked.check_condyles(self.up)
         self.below = float(self.origin @ self.up) - shaft.end_level(surface, self.up)
         self._check_shaft()
         self._check_solid()
@@ -262,7 +284,16 @@ class _Finder:
         frame_parts = self.origin, axes, neck, self.trochanter
         length = float(np.ptp(self.x @ up))
         return Frame(
-            self.head, self.radius, *frame_parts, side, version, intervals, length, -self.below
+            self.head,
+            self.radius,
+            *frame_parts,
+            side,
+            version,
+            intervals,
+            length,
+            -self.below,
+            self.checked.names,
+            tuple(self.checked.doubts),
         )
 
     def _samples(self) -> tuple[Floats, Floats, Floats]:
@@ -320,6 +351,7 @@ class _Finder:
         self.rms = math.sqrt(float(np.average((_norms(offsets) - radius) ** 2, weights=areas)))
         self.head, self.radius, self.spread = centre, radius, NORMAL_QUANTILE * math.sqrt(variance)
         if "head_centre" in self.given:
+            self.checked.check_head(centre)
             self.head, self.spread = np.array(self.given["head_centre"]), 0.0
 
     def _find_shaft(self) -> None:

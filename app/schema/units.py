@@ -300,9 +300,15 @@ class Part(Dimension):
 
 @dataclass(frozen=True)
 class Plain(_Bounded):
-    """Marks a float or int field as dimensionless: a bare, finite number; not text, not a bool."""
+    """Marks a float or int field without a unit in the file: a finite number; not text, not a bool.
+
+    Attributes:
+        integer: True for whole numbers.
+        unit: Unit that the number has without being written, as in the axes of another file.
+    """
 
     integer: bool = False
+    unit: str = ""
 
     def read(self, value: object) -> float | int:
         """The value unchanged (as a float unless `integer`).
@@ -314,7 +320,9 @@ class Plain(_Bounded):
         if isinstance(value, bool) or not isinstance(value, int | float):
             match = NUMBER.fullmatch(value) if isinstance(value, str) else None
             extra = " without quotes or unit"
-            if match and match[2]:
+            if self.unit:
+                extra = f" in {self.unit}, without quotes or unit"
+            elif match and match[2]:
                 extra = " (this value is dimensionless: no unit)"
             fail(f"{show(value)} is not a {kind}; expected a plain {kind}{extra}")
         if not abs(value) <= LARGEST:
