@@ -115,14 +115,37 @@ def _load(options: argparse.Namespace) -> LoadedCase:
     return load_case(_case_path(options.case), options.overrides)
 
 
+# Options of `mantle init` that describe a segmentation, and those that describe another geometry.
+OF_LABELS = ("ct", "side", "label")
+OF_KINDS = ("kind", "stem")
+# Geometry of a new case without `--kind` and `--labels`.
+DEFAULT_KIND = "femur"
+
+
+def _check_init(options: argparse.Namespace) -> None:
+    """Raise InputError if options of `mantle init` do not belong together."""
+    other_options = OF_KINDS if options.labels else OF_LABELS
+    given = ", ".join(f"--{name}" for name in other_options if getattr(options, name))
+    if given and options.labels:
+        raise InputError(
+            f"{given}: has no effect with --labels, which makes a case of a segmentation (kind:"
+            " patient); leave one of them out"
+        )
+    if given:
+        raise InputError(f"{given}: needs --labels FILE, the segmentation of the femur; add it")
+
+
 def _init(options: argparse.Namespace) -> int:
+    _check_init(options)
     if options.labels:
         label_options = options.labels, options.ct, options.side, options.label
         path, assumed = new_case.from_labels(options.name, *label_options)
         for line in assumed:
             print(f"- {line}")
     else:
-        path = new_case.write(options.name, options.kind, options.stem, meshes.meeting)
+        path = new_case.write(
+            options.name, options.kind or DEFAULT_KIND, options.stem, meshes.meeting
+        )
     name, folder = shlex.quote(str(path)), shlex.quote(str(Path("out") / path.stem))
     program = shlex.quote(os.environ.get("MANTLE_CALLED", "mantle"))
     print(f"{path} is written; next:")

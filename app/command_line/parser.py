@@ -194,7 +194,6 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
     ),
     "--kind": dict(
         choices=("femur", "cylinders", "blocks", "head_cup", "file"),
-        default="femur",
         help="geometry (default: femur, standing on one leg); file: your own mesh, NAME.msh",
     ),
     "--stem": dict(

@@ -105,6 +105,10 @@ def test_init_stem_has_the_given_material(tmp_path: Path) -> None:
             "--stem cocr: geometries of kind blocks have no stem",
         ),
         (["--kind", "file"], "new.msh: not a gmsh .msh file"),
+        (["--ct", "new.msh"], "--ct: needs --labels FILE"),
+        (["--side", "right", "--label", "1"], "--side, --label: needs --labels FILE"),
+        (["--labels", "new.msh", "--kind", "femur"], "--kind: has no effect with --labels"),
+        (["--labels", "new.msh", "--stem", "cocr"], "--stem: has no effect with --labels"),
         (["--kind", "knee"], "mantle init: argument --kind: invalid choice: 'knee'"),
     ],
 )
