@@ -41,8 +41,10 @@ def centroid(lines: Floats) -> tuple[Floats, float]:
 
 
 def mean_width(lines: Floats) -> float:
-    """Diameter of the circle whose area lines (k, 2, 2) enclose."""
-    return 2.0 * math.sqrt(centroid(lines)[1] / math.pi)
+    """Diameter of the circle whose area lines (k, 2, 2) enclose; 0 without lines."""
+    a, b = lines[:, 0], lines[:, 1]
+    twice_area = float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
+    return math.sqrt(2.0 * max(twice_area, 0.0) / math.pi)
 
 
 def ray_crossings(lines: Floats, angles: Floats) -> tuple[Ints, Floats]:

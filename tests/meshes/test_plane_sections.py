@@ -1,8 +1,9 @@
-"""Plane sections of triangulated surfaces: rays that leave them."""
+"""Plane sections of triangulated surfaces: rays that leave them, and widths."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from meshes import plane_sections
 
@@ -13,3 +14,11 @@ def test_plane_sections_rays_cross_bridged_gaps() -> None:
         lines = np.array([[(x, -1.0), (x, 1.0)] for x in walls])
         radii, times = plane_sections.exits(lines, np.array([0.0]), 4.0)
         assert (radii[0], times[0]) == (expected, len(walls))
+
+
+def test_plane_sections_width_is_that_of_a_circle_of_equal_area() -> None:
+    """A square of 2 mm; a section that meets nothing is not wide."""
+    corners = np.array([(0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (0.0, 2.0)])
+    square = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    assert plane_sections.mean_width(square) == pytest.approx(4.0 / np.sqrt(np.pi))
+    assert plane_sections.mean_width(square[:0]) == 0.0

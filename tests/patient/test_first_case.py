@@ -84,15 +84,28 @@ def test_first_case_refuses_a_ct_of_another_place(tmp_path: Path) -> None:
     assert not (folder / "hip.yaml").exists()
 
 
-def test_first_case_notes_a_ct_that_is_mirrored(tmp_path: Path) -> None:
+def test_first_case_refuses_a_ct_that_is_mirrored(tmp_path: Path) -> None:
     """Its grid contains the femur, but its cortex is beside that of the labels."""
     folder = scan(tmp_path, 120.0, edges=(1.5, 1.5, 1.5))
     image = nibabel.load(folder / "ct.nii.gz")
     mirrored = np.asarray(image.dataobj)[::-1]
     nibabel.Nifti1Image(mirrored, image.affine).to_filename(folder / "mirrored.nii.gz")
     labels = folder / "labels.nii.gz"
-    path, assumed = first_case.write(folder / "hip", labels, folder / "mirrored.nii.gz", None, None)
-    assert "mirrored.nii.gz: only" in assumed[-1] and "mirrored or moved" in assumed[-1]
+    for name in ("mirrored", "labels"):
+        with pytest.raises(InputError, match=rf"{name}\.nii\.gz: only . % .* mirrored or moved"):
+            first_case.write(folder / "hip", labels, folder / f"{name}.nii.gz", None, None)
+    assert not (folder / "hip.yaml").exists()
+
+
+def test_first_case_notes_a_ct_that_is_moved(tmp_path: Path) -> None:
+    folder = scan(tmp_path, 120.0, edges=(1.5, 1.5, 1.5))
+    image = nibabel.load(folder / "ct.nii.gz")
+    affine = image.affine.copy()
+    affine[0, 3] += 6.0
+    nibabel.Nifti1Image(np.asarray(image.dataobj), affine).to_filename(folder / "moved.nii.gz")
+    labels = folder / "labels.nii.gz"
+    path, assumed = first_case.write(folder / "hip", labels, folder / "moved.nii.gz", None, None)
+    assert "moved.nii.gz: only" in assumed[-1] and "mirrored or moved" in assumed[-1]
     notes = [v.what for v in warnings(case_file.load(path).config)]
     assert any("mirrored or moved" in note for note in notes)
 
