@@ -37,6 +37,7 @@ LONGER_SHAFT = 40.0  # mm by which a continued shaft is longer to find its influ
 # Width by which an assumed canal is wider to find its influence [mm]. The standard deviation of the
 # least width is 1.3 mm in women and 1.5 mm in men (96 volunteers, PMC8589507).
 WIDER_CANAL = 2.0
+LEAST_BELOW_PLUG = 5.0  # mm of bone below the plug, at least
 SHAFT_BELOW_PLUG = 70.0  # mm of shaft below the plug, or what the surface has
 
 
@@ -161,6 +162,7 @@ class Patient(OperatedHip):
         for field, message in implant.faults(spread(self.cement_thickness)[0]):
             fail(message, at=("stem", field))
         try:
+            self._check_length(placement_of(self))
             self.search()
             placement = self.placement
         except (GeometryError, InputError) as error:
@@ -180,14 +182,6 @@ class Patient(OperatedHip):
         plug_z = float(placement.to_model([0.0, 0.0, implant.plug])[2])
         level = self.distal_cut_z
         if level is None:
-            if plug_z < lowest_z + 5.0:
-                message = (
-                    f"puts {self.plug_end} at z = {plug_z:.0f} mm, but the bone ends"
-                    f" at {lowest_z:.0f} mm"
-                )
-                missing_length = f"{lowest_z + 5.0 - plug_z:.0f} mm of bone are missing"
-                remedy = "set geometry.bone.extend: true, or use a shorter stem"
-                fail(f"{message}: {missing_length}; {remedy}", at=("stem", "length"))
             level = self.__dict__["distal_cut_z"] = round(
                 max(plug_z - SHAFT_BELOW_PLUG, lowest_z + 3.0), 1
             )
@@ -200,6 +194,18 @@ class Patient(OperatedHip):
             message = f"leaves {length_inside:.0f} mm of the stem below the cut"
             fail(f"{message}; expected at least {least_length:.0f} mm", at=("insertion", "depth"))
         return self
+
+    def _check_length(self, placement: Placement) -> None:
+        """Refuse a bone that ends beside the stem or its plug, before its position is searched."""
+        plug_z = float(placement.to_model([0.0, 0.0, self.implant.plug])[2])
+        missing_length = self.femur.lowest + LEAST_BELOW_PLUG - plug_z
+        if self.distal_cut_z is None and missing_length > 0.0:
+            fail(
+                f"puts {self.plug_end} at z = {plug_z:.0f} mm, but the bone ends at"
+                f" {self.femur.lowest:.0f} mm: {missing_length:.0f} mm of bone are missing; set"
+                " geometry.bone.extend: true, or use a shorter stem",
+                at=("stem", "length"),
+            )
 
     def without_effect(self, mesh: MeshOptions) -> dict[tuple[str, ...], str]:
         """Return the keys of the case that have no effect with the others, and the reason."""

@@ -207,11 +207,11 @@ class MeasuredLayers:
             fault = (
                 f"does not surround the stem: its centre is {distance:.0f} mm from the stem's axis."
             )
-            raise GeometryError(f"geometry.canal.surface: {fault} Is it in the axes of the bone?")
+            raise GeometryError(f"geometry.canal: {fault} Is it in the axes of the bone?")
         first_row, last_row = rows[[0, -1]]
         if zeta[first_row] > self._sections.plug - CORE_OVER:
             raise GeometryError(
-                "geometry.canal.surface: ends at"
+                "geometry.canal: ends at"
                 f" {self._place_on_axis(zeta[first_row])}, beside the stem or"
                 " its plug; shorten the stem or give a longer canal"
             )
@@ -224,7 +224,7 @@ class MeasuredLayers:
         if wall.min() < 0:
             i, j = np.unravel_index(wall.argmin(), wall.shape)
             raise GeometryError(
-                f"geometry.canal.surface: is {-wall.min():.1f} mm outside the bone at"
+                f"geometry.canal: is {-wall.min():.1f} mm outside the bone at"
                 f" {self._placement.point_in_words(self._grid_points(bone)[first_row + i, j])};"
                 " expected a canal inside"
                 " the bone, in the same axes"
@@ -235,10 +235,11 @@ class MeasuredLayers:
         )
         thin_wall = THIN_CORTEX * self._obliquity()[last_row + 1 :]
         radii_above = bone[last_row + 1 :] - (wall[-1] + thinned_part * (thin_wall - wall[-1]))
-        canal_top = self._placement.to_model([0.0, 0.0, zeta[last_row]])[2]
+        canal_top = float(self._placement.to_model(canal.points)[:, 2].max())
+        section_top = float(self._placement.to_model([0.0, 0.0, zeta[last_row]])[2])
         self.notes.append(
-            f"canal: measured up to z = {canal_top:.0f} mm; above, the cortex"
-            f" thins to {THIN_CORTEX:g} mm"
+            f"canal: measured up to z = {canal_top:.0f} mm, and in whole sections of the mesh up to"
+            f" {section_top:.0f} mm; above these, the cortex thins to {THIN_CORTEX:g} mm"
         )
         return np.concatenate([radii_below, canal_radii, radii_above])
 

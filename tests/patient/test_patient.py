@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from app.foundation.errors import GeometryError
 from app.patient import bone_surface
 from app.patient.bone_surface import BoneSurface
 from app.patient.geometry import Patient
+from app.patient.measured_layers import MeasuredLayers
 from app.soundness import preview
 from meshes import _make, femur_bone, femur_stem, quality
 from meshes.data import interface_facets, region_volumes
@@ -73,6 +75,17 @@ def test_patient_bone_of_the_parametric_femur_equals_it(folder: Path) -> None:
     assert here.notes["quality"]["sicn_min"] > 0.05
     head = turned(np.array([here.notes["head_centre"]]), math.radians(VERSION))
     assert head[0] == pytest.approx(there.notes["head_centre"], abs=0.3)
+
+
+def test_patient_note_on_the_canal_has_the_level_of_its_file(folder: Path) -> None:
+    """The level at which the surface ends, and that of the last whole section of the mesh."""
+    geometry = patient(folder, canal={"surface": "canal.stl", "ream": "broach"})
+    bone = LayeredSurfaces(geometry, options()).bone
+    assert isinstance(bone, MeasuredLayers) and geometry.femur.canal
+    (text,) = (note for note in bone.notes if note.startswith("canal: "))
+    numbers = [float(number) for number in re.findall(r"(-?\d+) mm[,;]", text)]
+    assert numbers[0] == pytest.approx(geometry.femur.canal.points[:, 2].max(), abs=0.5)
+    assert numbers[1] < numbers[0]
 
 
 def test_patient_bone_zones_equal_the_parametric_ones(folder: Path) -> None:

@@ -155,6 +155,15 @@ KEYS: dict[str, tuple[dict[str, Any], str]] = {
         {"stem": {"length": "300 mm"}, "bone": {"surface": "bone.stl", "extend": False}},
         "plug's end at z = -277 mm, but the bone ends at -26. mm: .* mm of bone are missing",
     ),
+    "too long to search": (
+        {
+            "stem": {"length": "300 mm"},
+            "bone": {"surface": "bone.stl", "extend": False},
+            "canal": {"surface": "whole canal.stl"},
+            "insertion": "best",
+        },
+        "geometry.stem.length: .* the bone ends at -26. mm: .* geometry.bone.extend: true",
+    ),
     "too short": (
         {"stem": {"length": "50 mm", "corner_radius": "4 mm", "tip_corner_radius": "2 mm"}},
         "leaves 42 mm of the stem below the cut; expected at least 50",
@@ -197,7 +206,12 @@ WRONG = KEYS | {
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("wrong")
-    for name, (surface, _) in {"bone": (parametric_femur(), ""), **BONES, **CANALS}.items():
+    for name, (surface, _) in {
+        "bone": (parametric_femur(), ""),
+        "whole canal": (parametric_canal(), ""),
+        **BONES,
+        **CANALS,
+    }.items():
         file = path / f"{name}.stl"
         file.write_bytes(surface) if isinstance(surface, bytes) else write(file, surface)
     with suppress(ModuleNotFoundError):
