@@ -139,7 +139,7 @@ class Case(Section):
         try:
             part = handler(value)
         except ValidationError as error:
-            faults = [Fault((name, *f.path), f.text) for f in section.faults(error)]
+            faults = [replace(f, path=(name, *f.path)) for f in section.faults(error)]
             notes["faults"] += faults
             if name in TABLES and isinstance(value, dict):
                 wrong_names = {fault.path[1] for fault in faults}

@@ -25,7 +25,7 @@ from app.case.stems import Stem, StemFile
 from app.foundation.arrays import Bools, Floats
 from app.foundation.implant import FLAT, Implant
 from app.laws.values import ROUNDING
-from app.schema.section import Section, fail
+from app.schema.section import Section, did_you_mean, fail, show
 from app.schema.units import Angle, Dimension, Length, PositiveLength
 from app.system import folders
 from meshes.placement import (
@@ -160,7 +160,15 @@ class _Best:
     """Marks a field as an insertion, or the word `best` for one that is searched."""
 
     def read(self, value: object) -> object:
-        """The keys of an insertion."""
+        """The keys of an insertion.
+
+        Raises:
+            PydanticCustomError: Another word.
+        """
+        if isinstance(value, str) and value != "best":
+            keys = ", ".join(Insertion.model_fields)
+            hint = did_you_mean(value, ["best"])
+            fail(f"{show(value)} is neither 'best' nor a mapping of the keys {keys}{hint}")
         return {"best": {}} if value == "best" else value
 
     def __get_pydantic_core_schema__(

@@ -15,6 +15,9 @@ from app.foundation.errors import InputError
 from app.patient import images
 from app.patient.voxels import LabelSegment
 
+# An image with more numbers is no segmentation; they are counted in about so many voxels.
+MOST_LABELS = 500
+COUNTED_VOXELS = 1_000_000
 WHOLE_TOLERANCE = 0.05  # largest difference of a label from a whole number
 # A label that was interpolated and then rounded is surrounded by at least as many smaller numbers,
 LEAST_NUMBERS = 5
@@ -111,7 +114,7 @@ def read(path: Path) -> LabelImage:
     numbered in their order.
 
     Raises:
-        InputError: The image cannot be read, or has values between whole numbers.
+        InputError: The image cannot be read, is a CT, or has values between whole numbers.
     """
     return _read(path, images.changed(path))
 
@@ -119,6 +122,8 @@ def read(path: Path) -> LabelImage:
 @lru_cache(maxsize=2)
 def _read(path: Path, _changed: int) -> LabelImage:
     image = images.read_layers(path)
+    if image.segments is None:
+        _check_labels(path, image.values)
     values, rounded = as_whole_numbers(path, image.values)
     notes = [*image.summary, *rounded]
     names = {name: segment.value for name, segment in (image.segments or {}).items()}
@@ -132,6 +137,18 @@ def _read(path: Path, _changed: int) -> LabelImage:
     layers = values if values.ndim > 3 else values[..., None]
     known_names = names if image.segments is not None else None
     return LabelImage(path, layers, segments, known_names, image.affine, tuple(notes), image.notes)
+
+
+def _check_labels(path: Path, values: Numbers) -> None:
+    """Raise InputError if an image has so many numbers that it is a CT."""
+    some_values = values.ravel()[:: 1 + values.size // COUNTED_VOXELS]
+    numbers = np.unique(some_values[np.isfinite(some_values)])
+    if len(numbers) > MOST_LABELS and (numbers == np.round(numbers)).all():
+        raise InputError(
+            f"{path}: has {len(numbers):,} different numbers, from {numbers[0]:g} to"
+            f" {numbers[-1]:g}. Is it a CT? Expected the labels of a segmentation; a CT is given as"
+            " geometry.canal.ct, or with --ct of mantle init"
+        )
 
 
 def as_whole_numbers(path: Path, values: Numbers) -> tuple[Numbers, list[str]]:

@@ -68,7 +68,7 @@ class Section(BaseModel):
         try:
             return handler(value)
         except ValidationError as error:
-            defects = [_defect(f.text, f.path) for f in faults(error, cls, value)]
+            defects = [_defect(f.text, f.path, f.section) for f in faults(error, cls, value)]
             raise ValidationError.from_exception_data(
                 cls.__name__, [{"type": defect, "input": None} for defect in defects]
             ) from None
@@ -84,10 +84,21 @@ def faults(
         model: Section in which they are.
         mapping: Mapping that the section was read from.
     """
-    return [Fault(*_in_words(entry, model, mapping)) for entry in error.errors(include_url=False)]
+    return [_in_words(entry, model, mapping) for entry in error.errors(include_url=False)]
 
 
-def _in_words(entry: ErrorDetails, model: type[Section], mapping: object) -> tuple[Path, str]:
+def _in_words(entry: ErrorDetails, model: type[Section], mapping: object) -> Fault:
+    section = ""
+    if entry["type"] == "mantle":
+        section = entry["ctx"]["section"]
+    elif entry["type"] == "extra_forbidden":
+        keys_beside = mapping if isinstance(mapping, Mapping) else {}
+        section = _section_for_key(entry["loc"][-1], model, keys_beside)
+    path, text = _path_and_text(entry, model, section)
+    return Fault(path, text, section=section)
+
+
+def _path_and_text(entry: ErrorDetails, model: type[Section], section: str) -> tuple[Path, str]:
     # Pydantic marks an error in a key of a mapping by "[key]".
     path = tuple(i for i in entry["loc"] if i != "[key]" and not str(i).startswith(UNION_TAG))
     value = show(entry["input"])
@@ -103,9 +114,6 @@ def _in_words(entry: ErrorDetails, model: type[Section], mapping: object) -> tup
         case "extra_forbidden":
             if str(entry["loc"][-1]).startswith(UNION_TAG):  # a key of the file that begins so
                 path = (*path, entry["loc"][-1])
-            section = _section_for_key(
-                path[-1], model, mapping if isinstance(mapping, Mapping) else {}
-            )
             if section:
                 return path, f"unknown key here; indent it below '{section}', where it belongs"
             hint = did_you_mean(str(path[-1]), keys)
@@ -172,8 +180,8 @@ def docstrings(model: type[BaseModel]) -> dict[str, str]:
     return docstring_of_key | {name: description for name, description in added_keys if description}
 
 
-def _defect(text: str, at: Path) -> PydanticCustomError:
-    return PydanticCustomError("mantle", "{text}", {"text": text, "at": at})
+def _defect(text: str, at: Path, section: str = "") -> PydanticCustomError:
+    return PydanticCustomError("mantle", "{text}", {"text": text, "at": at, "section": section})
 
 
 def fail(text: str, at: Path = ()) -> NoReturn:

@@ -66,6 +66,7 @@ class Fault:
         place: Place, if it differs from that of the path; "" if the text names it.
         cure: Allowed values or the remedy, if the text does not say it.
         code: Reason, for programs.
+        section: Section beside the key to which it belongs, if it is known.
     """
 
     path: Path
@@ -73,6 +74,7 @@ class Fault:
     place: Place | None = None
     cure: str = ""
     code: Reason | None = None
+    section: str = ""
 
 
 class BadYaml(Exception):
@@ -171,14 +173,35 @@ class CaseFile:
             change = f"; {self.option}'{section}={{kind: ...}}' replaces the whole section"
             place = option
             verdict = replace(verdict, what=printable(fault.text + change))
+        overrides = self._overrides_beside(path)
+        if overrides and not (fault.place or isinstance(place, str)):
+            if path in self.places:
+                changes = ", ".join(f"{self.option}{override}" for override in overrides)
+                question = f"; does {changes} go with it?"
+                verdict = replace(verdict, what=printable(fault.text + question))
+            else:
+                # No file gives the value, but an option gave another one that does not go with it.
+                place = overrides[-1]
         of_key = f": {key}" if key and key != place else ""
         if isinstance(place, str):
+            if fault.section:
+                # There are no lines to indent.
+                full_key = path_text((*path[:-1], fault.section, path[-1]))
+                verdict = replace(verdict, what=printable(f"unknown key; expected {full_key}"))
             location = f"{self.option}{path_text((place,))}{of_key}"
             return LAST, replace(verdict, where=printable(location))
         file, line, column = place
         order = [self.name, *self.digests].index(file)
         location = printable(f"{file}:{line}:{column}{of_key}")
         return (order, line, column), replace(verdict, where=location)
+
+    def _overrides_beside(self, path: Path) -> list[str]:
+        """Keys of the overrides of the geometry, or of the named section that has a path."""
+        depth = 1 if path[:1] == ("geometry",) else 2
+        section = [str(key) for key in path[:depth]]
+        if len(section) < depth:
+            return []
+        return [key for key in self.given if key_parts(key)[:depth] == section]
 
     def _given_path(self, path: Path) -> Path:
         """Path at which the file gives a value: that of the common key, if one gave it."""

@@ -118,3 +118,12 @@ def test_label_image_smaller_labels_around_a_label_are_accepted(tmp_path: Path) 
     sector = 1 + (4.0 + 4.0 * np.arctan2(GRID[1], GRID[0]) / np.pi).astype(int) % 8
     labels = label_image.read(labelled(tmp_path, np.where(BONE, 20, sector)))
     assert (labels.inside(20) == BONE).all()
+
+
+def test_label_image_refuses_a_ct(tmp_path: Path) -> None:
+    """It has the label 1 by chance, in a few voxels."""
+    numbers = np.random.default_rng(0).integers(-1000, 1500, BONE.shape, dtype=np.int16)
+    path = labelled(tmp_path, numbers)
+    for read in (label_image.read, segmentation.segments):
+        with pytest.raises(InputError, match=r"different numbers, from -.* Is it a CT"):
+            read(path)

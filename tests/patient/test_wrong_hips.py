@@ -241,3 +241,26 @@ def test_wrong_hips_are_refused(
     printed = capsys.readouterr().err
     assert printed.startswith(f"{case}:2:") and printed.count("\n") == 1
     assert re.search(words, printed), printed
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        (
+            "geometry.side=right",
+            r"^--set geometry\.side: unknown key; expected geometry\.bone\.side$",
+        ),
+        (
+            "geometry.stem.length=40 mm",
+            r":2:\d+: geometry\.stem\.half_width: .*; does --set geometry\.stem\.length go with it",
+        ),
+    ],
+)
+def test_wrong_hips_override_is_named(
+    override: str, words: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An option that does not go with keys of the file."""
+    case = written(folder, {"stem": {"length": "147 mm", "half_width": "8.5 mm"}})
+    assert main(["check", str(case), "--set", override]) == 2
+    printed = capsys.readouterr().err.strip()
+    assert re.search(words, printed), printed
