@@ -16,6 +16,7 @@ from pydantic_core import PydanticCustomError
 
 from app.case import library
 from app.foundation.errors import InputError
+from app.foundation.verdict import Verdict, note
 from app.schema import yaml_file
 from app.schema.section import VECTOR, Triple, did_you_mean, show
 from app.schema.units import ANGLE, FORCE, WEIGHT
@@ -28,6 +29,9 @@ KEPT_THERMAL_KEYS = ("initial_temperature", "reference_temperature", "cure")
 KEYS_OF_USE = {*KEPT_REGION_KEYS, *library.ORIGIN, "material", "kind", "boundary", "at", "history"}
 # Keys among the loads that change all forces there, and what they are.
 MEASURED = {"body_weight": WEIGHT, "sagittal_tilt": ANGLE}
+GRAVITY = 9.81  # m/s^2
+# Body weights of adults [N]; others have a note.
+USUAL_WEIGHTS = (300.0, 1500.0)
 # Keys among the loads that say how all forces there change in time, one or the other.
 TIME_KEYS = ("history", "cycle_table")
 
@@ -300,6 +304,16 @@ def _measure(case: CaseFile, key: str, value: object) -> None:
         case.measured[key] = MEASURED[key].read(value)
     except PydanticCustomError as error:
         case.complaints.append(Fault(("loads", key), (error.context or {})["text"]))
+
+
+def weight_notes(case: CaseFile) -> list[Verdict]:
+    """Notes on a body weight that is rare, as one in kg is."""
+    weight = case.measured.get("body_weight")
+    least, largest = USUAL_WEIGHTS
+    if weight is None or least <= weight <= largest:
+        return []
+    doubt = f"{weight:g} N is the weight of {weight / GRAVITY:.0f} kg; expected {least:g} to"
+    return [note(f"{doubt} {largest:g} N", "loads.body_weight", "give newtons: 750 N for 76 kg")]
 
 
 def _entry(case: CaseFile, kind: str, name: str, path: Path, below: Path) -> dict[str, object]:

@@ -16,7 +16,14 @@ from typing import Any
 import configs
 from app.case import library
 from app.case.former_keys import new_name, of_this_version, present_name, with_present_names
-from app.case.merge_rules import KEYS_OF_USE, MEASURED, TIME_KEYS, kind_of, rule_at
+from app.case.merge_rules import (
+    KEYS_OF_USE,
+    MEASURED,
+    TIME_KEYS,
+    kind_of,
+    rule_at,
+    weight_notes,
+)
 from app.case.shapes import Shape
 from app.laws.densities import ModulusField
 from app.schema import yaml_file
@@ -254,6 +261,9 @@ def apply(case: CaseFile, overrides: Iterable[str]) -> None:
             _override(case, key, override)
         except BadYaml as error:
             case.complaints.append(Fault((), error.text, key or "''"))
+    # An override may have changed the weight of the file.
+    other_notes = [note for note in case.notes if note.where != "loads.body_weight"]
+    case.notes = [*other_notes, *weight_notes(case)]
 
 
 def _override(case: CaseFile, key: str, override: str) -> None:

@@ -46,6 +46,7 @@ CUT_HEIGHT = 8.0  # height of the neck cut above the lesser trochanter (mm)
 CUT_ANGLES = (38.0, 45.0, 30.0)  # angles of the neck cut that are tried (deg)
 OFFSET_RANGE = (32.0, 55.0)  # range of the stem's offset (mm)
 CELL_SIZE = 6.0  # size of cells (mm)
+BODY_WEIGHT = 600.0  # body weight of the loads in the library (N)
 CT_THRESHOLD = 600.0  # CT number at the endosteum
 
 
@@ -199,7 +200,8 @@ def _assumptions(bone: Structure, ct: Path | None, proposal: Proposal) -> Iterat
     head = geometry.placement_details["head of the stem"]
     yield f"operation: {cut}; {stem}; best position: {best_position}; head: {head}"
     medial = "the condyles" if femur.has_condyles else "the neck, since the scan has no condyles"
-    yield f"loads: one leg, body weight 600 N; x is along {medial}; materials of `stance`"
+    weight = f"body weight {BODY_WEIGHT:g} N (loads.body_weight)"
+    yield f"loads: one leg, {weight}; x is along {medial}; materials of `stance`"
     for doubt in femur.notes:
         yield f"note: {doubt}"
 

@@ -24,6 +24,8 @@ TOTAL_SEGMENTATOR = {
 }
 # A file with more labels, or larger ones, is taken for one of TotalSegmentator.
 MANY_LABELS = 20
+# Structures that a message lists.
+LISTED = 8
 ENDINGS = (".nii.gz", ".nii", ".seg.nrrd", ".nrrd", ".nhdr", ".npz", ".dcm")
 SIDES = ("left", "right")
 FEMUR = re.compile(r"femur|femoral|thigh ?bone|oberschenkelknochen", re.IGNORECASE)
@@ -54,6 +56,12 @@ class Structure:
         words = re.split(r"[^a-z]+", separated.lower())
         sides = {side for side in SIDES if side in words or (side[0] in words and len(words) > 1)}
         return sides.pop() if len(sides) == 1 else None
+
+    @property
+    def label(self) -> str:
+        """Name and label, where the file is known."""
+        label = f"label {self.number}"
+        return f"{self.name} ({label})" if self.name else label
 
     def __str__(self) -> str:
         """Name, label and file."""
@@ -184,10 +192,9 @@ def canal(path: Path, bone: Structure) -> Structure | None:
 
 
 def _list(structures: Sequence[Structure]) -> str:
-    """Return structures in words, the first ones of many."""
-    listed_structures = ", ".join(str(s) for s in structures[:8])
-    return (
-        f"{listed_structures} and {len(structures) - 8} more"
-        if len(structures) > 8
-        else listed_structures or "no label"
-    )
+    """Return structures in words, the first ones of many; their files, if there are several."""
+    several_files = len({s.path for s in structures}) > 1
+    texts = [str(s) if several_files else s.label for s in structures]
+    if len(texts) > LISTED:
+        return f"{', '.join(texts[:LISTED])} and {len(texts) - LISTED} more"
+    return ", ".join(texts) or "no label"

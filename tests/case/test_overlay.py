@@ -433,6 +433,21 @@ def test_overlay_reading_time_is_linear(tmp_path: Path) -> None:
     assert len(file.data["regions"]) == 1502
 
 
+@pytest.mark.parametrize(
+    ("file", "override", "kilograms"),
+    [("75 N", "", 8), ("750 N", "", 0), ("75 N", "750 N", 0), ("750 N", "7500 N", 765)],
+)
+def test_library_body_weight_in_other_units_is_noted(
+    tmp_path: Path, file: str, override: str, kilograms: int
+) -> None:
+    """The weight that counts is that of the option."""
+    path = write(tmp_path, case=f"base: stance\nloads: {{library: gait, body_weight: {file}}}\n")
+    overrides = [f"loads.body_weight={override}"] if override else []
+    notes = [verdict.text for verdict in overlay.read(path, overrides).notes]
+    assert len(notes) == (kilograms > 0)
+    assert all(f"is the weight of {kilograms} kg; expected 300 to 1500 N" in n for n in notes)
+
+
 def test_library_body_weight_and_tilt_change_forces(tmp_path: Path) -> None:
     """In the order given; turns about x add up, and a force beside them stays as it is."""
     hip = loaded(tmp_path, "base: stance\nloads: {library: walking_hip}\n").loads["hip"].force

@@ -36,6 +36,7 @@ def test_first_case_of_a_scan_has_the_bone_of_the_patient(
     assert f"femur_{side} (label" in assumed[0]
     assert "the axes of the image agree" in assumed[0]
     assert "the shaft is continued" in assumed[1]
+    assert "body weight 600 N (loads.body_weight)" in assumed[4]
     geometry = case_file.load(path).config.geometry
     assert isinstance(geometry, Patient)
     femur, frame = geometry.femur, geometry.femur.frame

@@ -61,7 +61,12 @@ def test_segmentation_femur_by_name(tmp_path: Path) -> None:
     [
         ((51, 77), None, None, "no label is named femur; its labels are .*Give --label"),
         ((75, 76), None, None, "has 2 femora: .*choose one with --side left or --side right"),
-        ((1, 2), None, "3", "--label 3: .* has no such label; it has"),
+        (
+            (1, 2),
+            None,
+            "3",
+            r"--label 3: \S+s\.nii\.gz has no such label; it has label 1, label 2$",
+        ),
         ((75, 51), "right", None, "--side right: the femur is femur_left"),
         ((75, 76), "right", "75", "--side right: the femur is femur_left"),
     ],
