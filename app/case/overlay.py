@@ -25,6 +25,7 @@ from app.case.merge_rules import (
     weight_notes,
 )
 from app.case.shapes import Shape
+from app.foundation.verdict import Verdict, note
 from app.laws.densities import ModulusField
 from app.schema import yaml_file
 from app.schema.section import did_you_mean, kinds_of, show
@@ -336,6 +337,8 @@ def _put(case: CaseFile, holder: Any, path: Path, value: object) -> None:
     if path[0] in ("regions", "loads") and not KEYS_OF_USE.issuperset(path[2:3]):
         for key in library.ORIGIN:
             case.data[str(path[0])][path[1]].pop(key, None)
+    if path == ("loads", step) and step in TIME_KEYS:
+        case.notes += _replaced_in_time(str(step), holder)
     given_here = {p: place for p, place in case.places.items() if p[: len(path)] == path}
     of_entry = step == NAMED.get(str(path[0]))
     if (of_entry and isinstance(value, str)) or (
@@ -353,3 +356,14 @@ def _put(case: CaseFile, holder: Any, path: Path, value: object) -> None:
         holder.clear()
         holder.update(new_values)
     _place_in_time(case, given_here)
+
+
+def _replaced_in_time(key: str, loads: Mapping[str, Any]) -> Iterable[Verdict]:
+    """Note on loads whose history a common cycle table replaces, or the reverse."""
+    (other_key,) = (k for k in TIME_KEYS if k != key)
+    replaced = {n: v[other_key] for n, v in loads.items() if isinstance(v, dict) and other_key in v}
+    if replaced:
+        histories = {str(value) for value in replaced.values()} if other_key == "history" else set()
+        history = f" {histories.pop()}" if len(histories) == 1 else ""
+        message = f"replaces {other_key}{history} of {', '.join(replaced)}"
+        yield note(message, f"loads.{key}")

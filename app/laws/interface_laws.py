@@ -27,7 +27,7 @@ To add a law, derive from `Traction` (a force that is a function of the gap) or 
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Mapping
+from collections.abc import Collection, Hashable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
@@ -49,6 +49,7 @@ from app.laws.values import (
     StrengthField,
     Table,
     field,
+    gap_settled,
     in_zone,
 )
 from app.schema.expressions import Varying
@@ -266,6 +267,11 @@ class InterfaceLaw(Extensible):
         return False
 
     @property
+    def interferes(self) -> bool:
+        """True if a key gives an interference, or a negative number as gap."""
+        return False
+
+    @property
     def gap_multipliers(self) -> tuple[float, ...] | None:
         """Multipliers of the initial gap at the ends of the stages (`values.gap_at`)."""
         return None
@@ -362,6 +368,22 @@ class InterfaceLaw(Extensible):
             factor: Default ratio of the augmentation to the local stiffness [-].
         """
         return factor * local_stiffness
+
+
+def insertion_stages(laws: Mapping[str, InterfaceLaw], press_fits: Collection[str]) -> int:
+    """Number of stages after which all press fits have grown; 0 without press fits.
+
+    Args:
+        laws: Laws of the interfaces, by name.
+        press_fits: Interfaces of which a negative gap is a press fit, too.
+    """
+    pressed = [
+        law
+        for name, law in laws.items()
+        if law.is_press_fit or (law.interferes and name in press_fits)
+    ]
+    ends = [gap_settled(np.array([-1.0]), law.gap_multipliers or ()) for law in pressed]
+    return round(max(ends, default=0.0))
 
 
 class Bonded(InterfaceLaw):
@@ -503,6 +525,14 @@ class Unilateral(Frictional):
         """True if `interference` is given, of the interface or of a zone."""
         surfaces: list[Unilateral | SurfaceZone] = [self, *(self.zones or {}).values()]
         return any(surface.interference is not None for surface in surfaces)
+
+    @property
+    def interferes(self) -> bool:
+        """True if an interference or a negative gap is given, of the interface or of a zone."""
+        surfaces: list[Unilateral | SurfaceZone] = [self, *(self.zones or {}).values()]
+        return self.is_press_fit or any(
+            isinstance(surface.gap, float) and surface.gap < 0.0 for surface in surfaces
+        )
 
     @property
     def gap_multipliers(self) -> tuple[float, ...] | None:

@@ -9,15 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import numpy as np
-
 from app.case.case import Case
 from app.case.checks import check
 from app.case.hips import ON_CUT
 from app.case.quantities import TABLE, in_print
 from app.case.summary import Numbers, Summary
 from app.foundation.verdict import Severity, Verdict
-from app.laws.values import gap_settled
+from app.laws.interface_laws import insertion_stages
+from app.laws.supports import Displacement
 from app.results.verdicts import judge
 from app.schema.yaml_file import Fault
 
@@ -25,35 +24,53 @@ from app.schema.yaml_file import Fault
 YIELD = 0.007
 
 
-@check("interfaces", "stages", "loads")
+@check("geometry", "interfaces", "stages", "loads", "supports")
 def _stages(case: Case) -> Iterable[Fault]:
-    """Press fits without a stage after the insertion, or with loads that grow with them."""
-    pressed = {n: law for n, law in case.interfaces.items() if law and law.is_press_fit}
-    loads = {
-        name: load for name, load in case.loads.items() if load is not None and load.cycle is None
+    """Press fits without a stage after the insertion, or with loads that act during it."""
+    laws = {name: law for name, law in case.interfaces.items() if law is not None}
+    loads = {name: load for name, load in case.loads.items() if load is not None}
+    insertion = insertion_stages(laws, case.geometry.press_fits)
+    histories: dict[tuple[str, str], tuple[float, ...] | None] = {
+        ("loads", name): load.history for name, load in loads.items() if load.cycle is None
+    } | {
+        ("supports", name): support.history
+        for name, support in case.supports.items()
+        if isinstance(support, Displacement) and any((support.x, support.y, support.z))
     }
-    if not pressed or not loads:
+    is_cyclic = any(load.cycle is not None for load in loads.values())
+    if not insertion or not (histories or is_cyclic):
         return
-    settled = max(
-        gap_settled(np.array([-1.0]), law.gap_multipliers or ()) for law in pressed.values()
-    )
     stages = [stage.name for stage in case.stages]
-    example = "`stages: [{name: insertion}, {name: load, increments: 2}]`"
-    if settled >= len(stages):
+    last = max((k for k, stage in enumerate(case.stages) if not stage.takes_time), default=0)
+    if insertion > (last if is_cyclic else len(stages) - 1):
+        example = "`stages: [{name: insertion}, {name: load, increments: 2}]`"
+        example += ", and `loads: {history: [0, 1]}`"
+        if is_cyclic:
+            example = "`stages: [{name: insertion}, {name: rise}, {name: gait, increments: 20}]`"
         message = (
             "the interference grows until the end of the last stage; micromotion is the motion"
-            f" after it. Expected a further stage, e.g. {example}, and `loads: {{history: [0, 1]}}`"
+            f" after it. Expected a further stage, e.g. {example}"
         )
         yield Fault(("stages",), message)
         return
-    growing = [name for name, load in loads.items() if load.history is None]
-    if growing:
-        message = (
-            "micromotion counts from the end of the insertion, but loads act during it:"
-            f" {', '.join(growing)}. Expected `history` with one number for each stage, e.g."
-            " `loads: {history: [0, 1]}`"
-        )
-        yield Fault(("loads",), message)
+    for section, act in (("loads", "loads act"), ("supports", "supports move bodies")):
+        acting = {
+            name: history
+            for (of_section, name), history in histories.items()
+            if of_section == section and (history is None or any(history[:insertion]))
+        }
+        if acting:
+            multipliers = [0] * insertion + [1] * (len(stages) - insertion)
+            example = f"`history: {multipliers}`"
+            if section == "loads":
+                example = f"`loads: {{history: {multipliers}}}`"
+            message = (
+                f"micromotion counts from the end of the insertion, but {act} during it:"
+                f" {', '.join(acting)}. Expected `history` with one number for each stage, 0 up to"
+                f" the end of '{stages[insertion - 1]}', e.g. {example}"
+            )
+            given = [name for name, history in acting.items() if history is not None]
+            yield Fault((section, given[0], "history") if given else (section,), message)
 
 
 def _areas(name: str, q: Numbers) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -28,7 +28,7 @@ from app.laws.cycle_tables import CycleTable
 from app.laws.densities import ChangingDensity
 from app.laws.fibres import Straight
 from app.laws.heat_conditions import HeatCondition
-from app.laws.interface_laws import InterfaceLaw
+from app.laws.interface_laws import InterfaceLaw, insertion_stages
 from app.laws.loads import Load
 from app.laws.materials import Elastic, Material, Region, Rigid
 from app.laws.motions import Motion
@@ -95,6 +95,7 @@ class Scene:
         coupled: True if heat depends on contact, so that both are solved together.
         motions: Prescribed motions of regions.
         period: Duration of a cycle of the cycle tables, 0 without cycle tables [s].
+        insertion: Number of stages in which press fits grow; cycle tables do not act in them.
         loads_of: For each stage that another package solves, the stage whose final loads act;
             indices of stages.
     """
@@ -120,6 +121,7 @@ class Scene:
     bonds: tuple[Interface, ...] = ()
     motions: tuple[Motion, ...] = ()
     period: float = 0.0
+    insertion: int = 0
     loads_of: Mapping[int, int] = dataclasses.field(default_factory=dict)
 
     @property
@@ -180,7 +182,7 @@ class Scene:
         """Rotation of a motion at a time (3, 3); the identity without a motion."""
         if motion is None:
             return np.eye(3)
-        phase, ramp = cycle_phase(self.stages, time)
+        phase, ramp = cycle_phase(self.stages, time, self.insertion)
         return motion.rotation_at(phase, ramp)
 
     def rotation_substeps(self, stage: int, increment: float) -> int:
@@ -250,6 +252,7 @@ def scene_of(
     heat: Mapping[str, HeatCondition] = NO_LAWS,
     time: TimeOptions | None = None,
     stem: StemPlaces | None = None,
+    press_fits: Collection[str] = (),
 ) -> Scene:
     """Build a scene from laws.
 
@@ -268,6 +271,7 @@ def scene_of(
         heat: Heat conditions by name.
         time: Time stepping of heat; `TimeOptions()` by default.
         stem: Heights on a stem, for interferences and zones along the stem; z by default.
+        press_fits: Interfaces whose micromotion is reported, also without an interference.
 
     Raises:
         InputError: The sides of an interface are unknown.
@@ -289,6 +293,11 @@ def scene_of(
         _interface(name, law, sides[name], faces.get(name), moduli, thermal, stem or NoStem())
         for name, law in interfaces.items()
     ]
+    all_interfaces = [
+        dataclasses.replace(i, press_fit=i.press_fit or i.name in press_fits)
+        for i in all_interfaces
+    ]
+    insertion = insertion_stages(interfaces, press_fits)
     conducting = [i for i in all_interfaces if i.law.conductance is not None]
     thermal_contacts = tuple(i for i in conducting if not i.between)
     friction_heat = tuple(i for i in all_interfaces if i.law.heated_by_friction is not None)
@@ -297,7 +306,7 @@ def scene_of(
     has_creep = any(stage.creep for stage in stages)
     split_loads: list[Load] = []
     for name, load in loads.items():
-        split_loads += _loads(name, load, motions, stages)
+        split_loads += _loads(name, load, motions, stages, insertion)
     cycle_times = tables[0].times if tables else (0.0,)
     return Scene(
         order=order,
@@ -313,6 +322,7 @@ def scene_of(
         bonds=tuple(i for i in all_interfaces if not i.law.can_part and math.isfinite(i.modulus)),
         stages=stages,
         period=cycle_times[-1] - cycle_times[0],
+        insertion=insertion,
         conductors=tuple(thermal.values()),
         heat=tuple(condition.named(name) for name, condition in heat.items()),
         thermal_contacts=thermal_contacts,
@@ -345,6 +355,7 @@ def build_scene(case: Case) -> Scene:
         heat=case.heat,
         time=case.time,
         stem=case.geometry,
+        press_fits=case.geometry.press_fits,
     )
     exchanging: set[str] = set().union(*(function(case) for function in _EXCHANGING))
     for interface in scene.sliding_heat:
@@ -364,23 +375,23 @@ def build_scene(case: Case) -> Scene:
         for index, stage in enumerate(case.stages)
         if stage.extension_kind
     }
-    press_fits = case.geometry.press_fits
-    contacts = tuple(
-        dataclasses.replace(c, press_fit=True) if c.name in press_fits else c
-        for c in scene.contacts
-    )
-    return dataclasses.replace(scene, loads_of=loads_of, contacts=contacts)
+    return dataclasses.replace(scene, loads_of=loads_of)
 
 
-def cycle_phase(stages: Sequence[Stage], time: float) -> tuple[float, float]:
+def cycle_phase(stages: Sequence[Stage], time: float, insertion: int) -> tuple[float, float]:
     """Phase in the cycle (0 to 1) and ramp factor (0 to 1) at a time.
 
-    The ramp is over the first stage, to the values at the beginning of the cycle. After the stage
-    of the cycles, the values stay constant.
+    The ramp is 0 in the stages of the insertion of a press fit. It is over the next stage, to the
+    values at the beginning of the cycle. After the stage of the cycles, the values stay constant.
+
+    Args:
+        stages: The stages; cycle tables repeat in one of them.
+        time: Stage k runs from k to k + 1.
+        insertion: Number of stages of the insertion.
     """
     cycle_stage = next((k for k, stage in enumerate(stages) if stage.repeats), len(stages) - 1)
     if time <= cycle_stage:
-        return 0.0, min(time, 1.0)
+        return 0.0, min(max(time - insertion, 0.0), 1.0)
     cycles = min(time - cycle_stage, 1.0) * stages[cycle_stage].cycles
     # The end of a cycle has phase 1.
     return cycles - math.ceil(cycles - 1e-9) + 1, 1.0
@@ -401,7 +412,11 @@ def _with_cycle_tables(stages: Sequence[Stage], tables: Sequence[CycleTable]) ->
 
 
 def _loads(
-    name: str, load: Load, motions: Mapping[str, Motion], stages: Sequence[Stage]
+    name: str,
+    load: Load,
+    motions: Mapping[str, Motion],
+    stages: Sequence[Stage],
+    insertion: int,
 ) -> tuple[Load, ...]:
     """A load; for a force with a cycle table or a motion, its three components."""
     force = load.moving_force([motion.boundary for motion in motions.values()])
@@ -413,7 +428,7 @@ def _loads(
 
     def component(axis: int, time: float) -> float:
         """Component of the force along an axis of the nodes at a time [N]."""
-        phase, ramp = cycle_phase(stages, time)
+        phase, ramp = cycle_phase(stages, time, insertion)
         vector = np.array(force.force_at(phase))
         if followed_motion:
             vector = followed_motion.rotation_at(phase, ramp) @ vector

@@ -16,6 +16,7 @@ from app.case.run_options import Stage
 from app.case.section_loads import section_loads, table
 from app.foundation.verdict import Verdict, note
 from app.laws.cycle_tables import ROTATIONS
+from app.laws.interface_laws import insertion_stages
 from app.laws.values import MEMORY
 from app.scene.scene import build_scene
 from app.schema.section import Section, added_keys, is_given
@@ -312,9 +313,12 @@ def _doubtful_loads(case: Case) -> Iterable[Verdict]:
         if not HIP_FORCES[0] <= force <= HIP_FORCES[1]:
             yield note(f"the largest load on the hip is {force:.3g} N; is the unit wrong?")
     tables = [name for name, load in case.loads.items() if load.cycle is not None]
-    if tables and sum(not stage.takes_time for stage in case.stages) == 1:
-        message = "the cycle begins in the first stage, so that all loads act in the first step"
-        remedy = "put a stage before it in which the loads grow: stages: [{name: rise}, ...]"
+    insertion = insertion_stages(case.interfaces, case.geometry.press_fits)
+    if tables and sum(not stage.takes_time for stage in case.stages) <= 1 + insertion:
+        first = "first stage after the insertion" if insertion else "first stage"
+        message = f"the cycle begins in the {first}, so that all loads act in its first step"
+        stages = "{name: insertion}, {name: rise}" if insertion else "{name: rise}"
+        remedy = f"put a stage before it in which the loads grow: stages: [{stages}, ...]"
         yield note(message, f"loads.{tables[0]}.cycle_table", remedy)
     yield from _doubtful_cycles(case)
     for name, motion in case.motions.items():

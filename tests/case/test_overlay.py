@@ -580,6 +580,15 @@ def test_library_cycle_table_of_all_loads(tmp_path: Path) -> None:
         loaded(tmp_path, text.replace("mine.csv", "jogging"))
 
 
+def test_library_cycle_table_names_the_history_that_it_replaces(tmp_path: Path) -> None:
+    case = "base: stance\nloads: {library: gait, history: [1]}\n"
+    (tmp_path / "case.yaml").write_text(case)
+    read = mantle.load(tmp_path / "case.yaml", **{"loads.cycle_table": "walking_cycle"})
+    (text,) = map(str, read.file.notes)
+    assert text.startswith("note: loads.cycle_table: replaces history [1] of hip, gluteus_medius")
+    assert not mantle.load(tmp_path / "case.yaml", **{"loads.history": [0.5]}).file.notes
+
+
 def test_library_walking_cycle_has_the_published_peaks() -> None:
     """Bergmann 2001: 238 % of body weight, two peaks; their ratio as that of 757 other strides."""
     cycle = library.read().data["cycle_tables"]["walking_cycle"]

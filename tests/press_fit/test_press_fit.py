@@ -11,9 +11,11 @@ import pytest
 import app.extensions  # noqa: F401 (registers the package)
 from app.case.case import load
 from app.foundation.errors import InputError
-from app.laws.interface_laws import Coulomb
+from app.laws.interface_laws import Coulomb, insertion_stages
 from app.laws.values import NoStem, gap_settled
 from app.press_fit.findings import _ingrowth, _raised_collar, _yield
+from app.scene.scene import build_scene
+from app.soundness import preview
 from tests import support
 
 # Two equal blocks between held ends: an interference, then a shift of the upper end along x.
@@ -172,6 +174,53 @@ def test_press_fit_loads_need_a_stage_after_the_insertion(tmp_path: Path) -> Non
     with pytest.raises(InputError, match=r"stages: the interference grows until the end"):
         load(path, one)
     assert load(path, ("loads.push.history=[0, 1]",)).config
+
+
+@pytest.mark.parametrize("history", ["[0.5, 1]", "[1, 0]"])
+def test_press_fit_refuses_histories_that_act_during_it(history: str, tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text(PRESSED)
+    shift = f"supports.top.history={history}"
+    with pytest.raises(
+        InputError, match=r"top.history: .* but supports move bodies during it: top"
+    ):
+        load(path, (shift,))
+    keys = f"{{kind: pressure, boundary: top, pressure: 1 MPa, history: {history}}}"
+    with pytest.raises(InputError, match=r"loads act during it: push. .* up to the end of 'insert"):
+        load(path, (f"loads.push={keys}",))
+    later = (
+        "interfaces.bone_metal.gap_history=[0, 1, 1]",
+        "stages=[{name: a}, {name: b}, {name: c}]",
+    )
+    with pytest.raises(InputError, match=r"end of 'b', e.g. `loads: \{history: \[0, 0, 1\]"):
+        load(path, (*later, "supports.top=null", "loads.push=" + keys.replace("]", ", 1]")))
+
+
+def test_press_fit_cycle_tables_act_after_it(tmp_path: Path) -> None:
+    """The force is 0 in the insertion, grows to its first row, then follows its table."""
+    path = tmp_path / "case.yaml"
+    table = '["time [s], factor [%]", "0, 100", "1, 20", "2, 100"]'
+    force = f'{{kind: force, boundary: top, force: "[0, 30, -40] N", cycle_table: {table}}}'
+    path.write_text(PRESSED + f"loads:\n  hip: {force}\n")
+    of_case = ("supports.top=null", "stages=[{name: press}, {name: rise}, {name: gait}]")
+    scene = build_scene(load(path, of_case).config)
+    sizes = scene.force_sizes(np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0]))["hip"]
+    assert sizes == pytest.approx([0, 0, 25, 50, 10, 50])
+    sudden = load(path, (*of_case[:1], "stages=[{name: press}, {name: gait}]")).config
+    (note,) = (v for v in preview.warnings(sudden) if "cycle begins" in v.what)
+    assert "first stage after the insertion" in note.what and "{name: rise}" in note.cure
+    with pytest.raises(InputError, match=r"end of the last stage; .* \{name: rise\}, \{name: gait"):
+        load(path, (*of_case[:1], "stages=[{name: gait}]"))
+
+
+def test_press_fit_by_a_negative_gap_comes_before_the_loads() -> None:
+    """A gap that is an interference counts on the interfaces of which micromotion is reported."""
+    fit, clearance = law(gap="-0.02 mm"), law(gap="0.02 mm")
+    assert insertion_stages({"stem_bone": fit}, ("stem_bone",)) == 1
+    assert insertion_stages({"stem_bone": fit}, ()) == 0
+    assert insertion_stages({"stem_bone": clearance}, ("stem_bone",)) == 0
+    zone = law(zones={"a": {"above": "1 mm", "gap": "-0.01 mm"}})
+    assert insertion_stages({"stem_bone": zone}, ("stem_bone",)) == 1
 
 
 def test_press_fit_findings_say_areas_and_strains() -> None:
