@@ -5,6 +5,7 @@ They work on the valid parts, so that an error in one section does not hide erro
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Protocol, TypeVar
@@ -20,6 +21,7 @@ from app.laws.loads import Load
 from app.laws.materials import Material
 from app.laws.motions import Motion
 from app.laws.supports import AnySupport
+from app.laws.values import ROUNDING
 from app.schema.section import Section, did_you_mean
 from app.schema.yaml_file import Fault, Path
 
@@ -392,14 +394,23 @@ def _held(case: CaseParts) -> Iterable[Fault]:
 
 
 @check("geometry")
-def _zones(case: CaseParts) -> Iterable[Fault]:
-    """Refuse zones of a stem's surface that are above or below the stem."""
+def _heights_on_stem(case: CaseParts) -> Iterable[Fault]:
+    """Refuse zones and tables of interferences with heights above or below the stem."""
     length = case.geometry.stem_length
+    expected = f"expected heights from 0 to {length:.0f} mm above its tip"
     for name, law in _valid(case.interfaces) if length else ():
         for zone, (low, high) in law.zone_heights.items():
+            key = ("interfaces", name, "zones", zone)
             if low >= length or high <= 0.0:
-                message = f"covers nothing of the stem; expected heights from 0 to {length:.0f} mm"
-                yield Fault(("interfaces", name, "zones", zone), message)
+                yield Fault(key, f"covers nothing of the stem; {expected}")
+            elif -math.inf < low < 0.0:
+                yield Fault((*key, "above"), f"{low:g} mm is below the stem; {expected}")
+        for path, heights in law.table_heights.items():
+            for i, height in enumerate(heights):
+                if not 0.0 <= height <= length + ROUNDING:
+                    where = "below" if height < 0.0 else "above"
+                    message = f"{height:g} mm is {where} the stem; {expected}"
+                    yield Fault(("interfaces", name, *path, i), message)
 
 
 @check("geometry")

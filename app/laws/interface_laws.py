@@ -291,6 +291,11 @@ class InterfaceLaw(Extensible):
         return {}
 
     @property
+    def table_heights(self) -> Mapping[tuple[str, ...], tuple[float, ...]]:
+        """Heights on the stem in tables of interferences [mm], by the path of the key."""
+        return {}
+
+    @property
     def layer(self) -> tuple[float, float] | None:
         """Normal and tangential stiffness of an elastic layer in series [MPa/mm]; None without.
 
@@ -566,6 +571,17 @@ class Unilateral(Frictional):
     def zone_heights(self) -> Mapping[str, tuple[float, float]]:
         """Heights of the zones on the stem [mm]."""
         return {name: zone.heights for name, zone in (self.zones or {}).items()}
+
+    @property
+    def table_heights(self) -> Mapping[tuple[str, ...], tuple[float, ...]]:
+        """Heights in the tables of the interface and of its zones [mm]."""
+        surfaces: dict[tuple[str, ...], Unilateral | SurfaceZone] = {(): self}
+        surfaces |= {("zones", name): zone for name, zone in (self.zones or {}).items()}
+        return {
+            (*path, "interference"): tuple(height for height, _ in surface.interference)
+            for path, surface in surfaces.items()
+            if isinstance(surface.interference, tuple)
+        }
 
     def gap_field(self, interface: str, stem: StemPlaces) -> Field:
         """Initial gap at points (n, 3), negative for an interference: shape (n,) [mm]."""

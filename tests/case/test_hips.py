@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from pathlib import Path
 
@@ -89,3 +90,25 @@ def test_hips_refuse_zones_that_cover_nothing_of_the_stem(zone: str, is_refused:
         assert "zones.coated: covers nothing of the stem; expected heights from 0 to 147 mm" in line
     else:
         load(CONFIGS / "pressed.yaml", (option,))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "text"),
+    [
+        ("interference", "[[-120 mm, 0 mm], [-20 mm, 0.02 mm]]", r"interference\[0\]: -120 mm is below"),
+        ("interference", "[[0 mm, 0 mm], [800 mm, 0.02 mm]]", r"interference\[1\]: 800 mm is above"),
+        ("zones", "{coated: {above: -30 mm}}", "zones.coated.above: -30 mm is below"),
+        (
+            "zones",
+            "{coated: {interference: [[0 mm, 0 mm], [148 mm, 0.02 mm]]}}",
+            r"zones.coated.interference\[1\]: 148 mm is above",
+        ),
+    ],
+)
+def test_hips_refuse_heights_off_the_stem(key: str, value: str, text: str) -> None:
+    """The coordinate z of the model in place of the height above the tip."""
+    messages = refused(f"interfaces.stem_bone.{key}={value}", path=CONFIGS / "pressed.yaml")
+    expected = f"{text} the stem; expected heights from 0 to 147 mm above its tip"
+    assert any(re.search(expected, message) for message in messages)
+    fitting = "interfaces.stem_bone.interference=[[0 mm, 0 mm], [147 mm, 0.02 mm]]"
+    load(CONFIGS / "pressed.yaml", (fitting,))
