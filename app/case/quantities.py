@@ -444,6 +444,18 @@ add_quantity(
         label="area of micromotion over 150 µm",
         on_page=True,
     ),
+    _interface(
+        "area_inducible_over_40um",
+        "mm^2",
+        label="area of inducible motion over 40 µm",
+        on_page=True,
+    ),
+    _interface(
+        "area_inducible_over_150um",
+        "mm^2",
+        label="area of inducible motion over 150 µm",
+        on_page=True,
+    ),
     _interface("force", "N", order=ORDER_OF_MOTION, vector=True),
     _interface("dissipation", "N mm", order=ORDER_OF_SLIP, step_record=True, curve=True),
     _interface(
@@ -563,6 +575,7 @@ add_quantity(
         order=ORDER_OF_MOTION,
         on_page=True,
     ),
+    _stem("flank_force", "N", digits=0, label="force on the flanks", order=ORDER_OF_MOTION),
     _stem(
         "collar_share",
         "-",

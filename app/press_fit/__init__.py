@@ -11,7 +11,13 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from app.case.case import Case
-from app.case.quantities import ORDER_OF_STRESS, ORDER_OF_TRACTION, Quantity, add_quantity
+from app.case.quantities import (
+    ORDER_OF_MOTION,
+    ORDER_OF_STRESS,
+    ORDER_OF_TRACTION,
+    Quantity,
+    add_quantity,
+)
 from app.press_fit import findings as findings  # registers its checks
 from app.results.records import RecordedModel, add_record
 
@@ -54,6 +60,14 @@ add_quantity(
         peak=True,
         on_page=True,
     ),
+    _interface(
+        "insertion_gap_mean",
+        "mm",
+        "um",
+        1,
+        label="gap after the insertion, mean",
+        order=ORDER_OF_MOTION,
+    ),
     _region(
         "insertion_hoop_strain_p99",
         "-",
@@ -70,6 +84,15 @@ add_quantity(
         0,
         label="hoop strain after the insertion, max",
         peak=True,
+        on_page=True,
+    ),
+    _region(
+        "insertion_compressive_strain_p99",
+        "-",
+        "um/m",
+        0,
+        label="compressive strain after the insertion, p99",
+        order=ORDER_OF_STRESS,
         on_page=True,
     ),
 )

@@ -1,4 +1,4 @@
-"""Pressure on a stem, and hoop strain of the bone around it, at the end of the insertion."""
+"""Pressure on a stem, and strain of the bone around it, at the end of the insertion."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from app.results.records import Record, RecordedModel
 from app.results.surface_parts import in_parts
 from app.stepping.load_steps import LoadStep, OnStep
 
-# Pressures of an interface that are published.
-PRESSURES = ("pressure_mean", "pressure_p95", "pressure_max")
+# Numbers of an interface that are published.
+OF_INTERFACE = ("pressure_mean", "pressure_p95", "pressure_max", "gap_mean")
 
 
 def _of_insertion(numbers: Numbers) -> Numbers:
-    """Pressures of an interface and its zones, under their names after the insertion."""
-    pressures: Numbers = {f"insertion_{key}": numbers[key] for key in PRESSURES}
+    """Numbers of an interface and its zones, under their names after the insertion."""
+    inserted: Numbers = {f"insertion_{key}": numbers[key] for key in OF_INTERFACE}
     zones = {name: _of_insertion(zone) for name, zone in numbers.get("zones", {}).items()}
-    return pressures | ({"zones": zones} if zones else {})
+    return inserted | ({"zones": zones} if zones else {})
 
 
 class AfterInsertion(Record):
@@ -46,17 +46,17 @@ class AfterInsertion(Record):
             assert contact is not None
             at_end = abs(accepted.time - contact.insertion_time) < 1e-6
             if at_end and trial is not None:
-                self.inserted = {"interfaces": self._pressures(trial), "regions": self._strains()}
+                self.inserted = {"interfaces": self._interfaces(trial), "regions": self._strains()}
             on_step(accepted, trial)
 
         return step
 
     def numbers(self) -> Summary:
-        """Pressures of interfaces, hoop strains of bone."""
+        """Pressures and gaps of interfaces, strains of bone."""
         return self.inserted
 
-    def _pressures(self, trial: TrialState) -> dict[str, Numbers]:
-        """Pressures of the press fits after a step; collective."""
+    def _interfaces(self, trial: TrialState) -> dict[str, Numbers]:
+        """Pressures and gaps of the press fits after a step; collective."""
         problem, zones = self._followed.problem, self._followed.zones
         surface = trial.contact.points.surface
         levels = zones.borders(surface.x) if zones else {}
@@ -66,20 +66,23 @@ class AfterInsertion(Record):
         return {name: _of_insertion(numbers[name]) for name in pressed}
 
     def _strains(self) -> dict[str, Numbers]:
-        """Hoop strain of each region of bone beside the stem; collective."""
+        """Strains of each region of bone beside the stem; collective."""
         strains: dict[str, Numbers] = {}
         for region in self._bone:
             stresses = self._followed.stresses
             x, volume = stresses.points_and_volumes(region)
-            strain = stresses.hoop_strain(region).ravel()
-            values, weight, beside = stresses.gather(
-                np.stack([strain, volume.ravel(), self._beside(x)])
+            hoop = stresses.hoop_strain(region).ravel()
+            compressive = stresses.compressive_strain(region).ravel()
+            *values, weight, beside = stresses.gather(
+                np.stack([hoop, compressive, volume.ravel(), self._beside(x)])
             )
             rows = beside > 0
             if rows.any():
+                hoop, compressive = (strain[rows] for strain in values)
                 strains[region] = {
-                    "insertion_hoop_strain_p99": percentile(values[rows], weight[rows]),
-                    "insertion_hoop_strain_max": float(values[rows].max()),
+                    "insertion_hoop_strain_p99": percentile(hoop, weight[rows]),
+                    "insertion_hoop_strain_max": float(hoop.max()),
+                    "insertion_compressive_strain_p99": percentile(compressive, weight[rows]),
                 }
         return strains
 

@@ -109,7 +109,7 @@ def headline(summary: Summary) -> Iterator[str]:
         is_pressed = "insertion_subsidence" in row[1]
         yield _sentence("stem", *row, template_name="pressed_stem" if is_pressed else "stem")
         if "collar_force" in row[1]:
-            yield _sentence("stem", *row, template_name="collar")
+            yield _sentence("stem", *row, template_name=_of_collar(row[1]))
     for name, q in rows.get("regions", {}).items():
         if CEMENT in q:
             tension = _with_unit("regions", "principal_p99", q)
@@ -181,8 +181,11 @@ SENTENCES = {
     "pressed_stem": "since the insertion the stem moves against the bone: subsidence {subsidence}, "
     "retroversion {retroversion}, varus {varus}; the insertion itself: subsidence"
     " {insertion_subsidence}",
-    "collar": "the collar presses on the bone by {collar_force} along the stem, {collar_share} of"
-    " what collar and flanks carry",
+    "collar": "the collar presses on the bone by {collar_force} along the stem",
+    "collar_and_flanks": "the collar presses on the bone by {collar_force} along the stem,"
+    " {collar_share} of what collar and flanks carry",
+    "pulling_flanks": "the collar presses on the bone by {collar_force} along the stem; the flanks"
+    " do not carry the stem: they pull it onto the collar ({flank_force})",
 }
 
 
@@ -266,6 +269,13 @@ def _necrosis(regions: Rows) -> list[str]:
         head += [f"{name}, volume", f"{name}, depth"]
         units += ["mm^3", "mm"]
     return layout.table(head, rows, units).splitlines()
+
+
+def _of_collar(numbers: Numbers) -> str:
+    """Return the sentence of a collar: with flanks that carry, pull, or are bonded."""
+    if "collar_share" in numbers:
+        return "collar_and_flanks"
+    return "pulling_flanks" if numbers.get("flank_force", 0.0) < 0.0 else "collar"
 
 
 def _sentence(section: str, name: str, numbers: Numbers, template_name: str = "") -> str:

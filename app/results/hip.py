@@ -255,10 +255,11 @@ def _axial_strain(problem: Problem, facets: bodies.FacetCells) -> Floats:
 
 
 def of_collar(case: Case, interfaces: Mapping[str, Numbers]) -> Numbers:
-    """Return the force along the stem between collar and bone; empty without a collar.
+    """Return forces on the bone along the stem; empty without a collar.
 
-    ``collar_force`` is this force [N]. ``collar_share`` is its fraction of the force that collar
-    and flanks carry together [-].
+    ``collar_force`` is that of the collar [N], ``flank_force`` that of the flanks if these are not
+    bonded [N]. ``collar_share`` is the collar's fraction of both [-]; no fraction if one of them
+    pulls.
     """
     geometry = case.geometry
     if ON_CUT not in interfaces or not is_hip(geometry):
@@ -267,9 +268,13 @@ def of_collar(case: Case, interfaces: Mapping[str, Numbers]) -> Numbers:
     force_along_stem = {
         name: float(-axis @ q["force"]) for name, q in interfaces.items() if name in ON_STEM
     }
-    numbers: Numbers = {"collar_force": force_along_stem[ON_CUT]}
-    if len(force_along_stem) > 1:  # the flanks are not bonded
-        numbers["collar_share"] = force_along_stem[ON_CUT] / sum(force_along_stem.values())
+    collar = force_along_stem.pop(ON_CUT)
+    numbers: Numbers = {"collar_force": collar}
+    if force_along_stem:
+        flanks = sum(force_along_stem.values())
+        numbers["flank_force"] = flanks
+        if min(collar, flanks) >= 0.0 < collar + flanks:
+            numbers["collar_share"] = collar / (collar + flanks)
     return numbers
 
 

@@ -358,7 +358,7 @@ def _of_part(
         }
         if name in ("gap", "slip", "motion") and not contact.between:
             numbers[f"area_{name}_over_30um"] = partial(field.area_above, MICROMOTION)
-        if name == "micromotion":
+        if name == "micromotion" or (name == "inducible" and contact.press_fit):
             numbers |= {
                 f"area_{name}_over_{key}": partial(field.area_above, level)
                 for key, level in INGROWTH.items()

@@ -183,6 +183,11 @@ class Stresses:
         ε, (x, _) = self._elastic_strain(region), self.points_and_volumes(region)
         return _hoop(ε.reshape(-1, 3, 3), x).reshape(ε.shape[:2])
 
+    def compressive_strain(self, region: str) -> Floats:
+        """Return the largest elastic compression, positive as a length lost (cells, points) [-]."""
+        ε = self._elastic_strain(region)
+        return np.asarray(-np.linalg.eigvalsh(ε.reshape(*ε.shape[:2], 3, 3))[..., 0])
+
     def energy_density(self, region: str) -> Floats:
         r"""Return the elastic energy density :math:`ψ = \tfrac12 σ : ε` (cells, points) [MPa]."""
         ε = self._elastic_strain(region)

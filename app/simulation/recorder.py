@@ -155,6 +155,8 @@ class Recorder:
     def stage(self, stage: Stage) -> None:
         """Begin a stage: its first log line gets a header."""
         self._stage = stage
+        if not _has_valleys(stage):  # inducible motion is that of the last cycle of the run
+            self.valley = {}
         columns = text.HEAT if stage.takes_time else text.STEP
         self._header = text.line(columns, columns)
 
@@ -188,12 +190,8 @@ class Recorder:
     def _turn(self, step: LoadStep, stem: Numbers, trial: TrialState | None) -> None:
         """Store the numbers at peaks and valleys of a stage with cycles."""
         reversal = self._stage.reversal(step.time)
-        if (
-            self._stage.load_segments == self._stage.cycles
-            or not step.ends_increment
-            or not reversal
-        ):
-            return  # cycle tables have no valleys
+        if not (_has_valleys(self._stage) and step.ends_increment and reversal):
+            return
         self.cycles.add(step.stage, stem, self.samples.step_numbers if self.samples else {})
         if trial is not None and reversal % 2 == 0:
             self.valley = {"jump": trial.jump.copy()}
@@ -361,3 +359,8 @@ class Recorder:
             f"last converged state: time {self.time:.4g} (step {self.step_count}) "
             f"in {self.writer.folder}"
         )
+
+
+def _has_valleys(stage: Stage) -> bool:
+    """Return True if loads return in a stage; those of cycle tables do not."""
+    return stage.load_segments > stage.cycles

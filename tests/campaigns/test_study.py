@@ -337,8 +337,10 @@ ELSEWHERE = {
     # Of press fits.
     *(f"micromotion_{part}" for part in ("mean", "p95", "p99", "max")),
     *("area_micromotion_over_40um", "area_micromotion_over_150um"),
+    *("area_inducible_over_40um", "area_inducible_over_150um", "insertion_gap_mean"),
     *(f"insertion_pressure_{part}" for part in ("mean", "p95", "max")),
     *("insertion_hoop_strain_p99", "insertion_hoop_strain_max"),
+    "insertion_compressive_strain_p99",
     # Of curved interfaces with straight facets.
     "pressure_by_facets",
     *(f"wear_volume{times}" for times in ("", "_million")),

@@ -95,8 +95,16 @@ def test_hips_refuse_zones_that_cover_nothing_of_the_stem(zone: str, is_refused:
 @pytest.mark.parametrize(
     ("key", "value", "text"),
     [
-        ("interference", "[[-120 mm, 0 mm], [-20 mm, 0.02 mm]]", r"interference\[0\]: -120 mm is below"),
-        ("interference", "[[0 mm, 0 mm], [800 mm, 0.02 mm]]", r"interference\[1\]: 800 mm is above"),
+        (
+            "interference",
+            "[[-120 mm, 0 mm], [-20 mm, 0.02 mm]]",
+            r"interference\[0\]: -120 mm is below",
+        ),
+        (
+            "interference",
+            "[[0 mm, 0 mm], [800 mm, 0.02 mm]]",
+            r"interference\[1\]: 800 mm is above",
+        ),
         ("zones", "{coated: {above: -30 mm}}", "zones.coated.above: -30 mm is below"),
         (
             "zones",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,9 +12,13 @@ from app.case.case import load
 from app.foundation.errors import InputError
 from app.laws.interface_laws import Coulomb, insertion_stages
 from app.laws.values import NoStem, gap_settled
-from app.press_fit.findings import _ingrowth, _raised_collar, _yield
+from app.press_fit.findings import _beyond_yield, _ingrowth, _raised_collar
+from app.results.closing_lines import headline
+from app.results.hip import of_collar
+from app.results.verdicts import _JUDGES
 from app.scene.scene import build_scene
 from app.soundness import preview
+from configs import FOLDER as CONFIGS
 from tests import support
 
 # Two equal blocks between held ends: an interference, then a shift of the upper end along x.
@@ -152,16 +155,86 @@ def test_press_fit_zones_have_the_pressure_after_the_insertion(tmp_path: Path) -
 
 
 def test_press_fit_raises_a_collar() -> None:
+    """Also a collar of which a corner still touches; not one that is seated or has a clearance."""
+    collar = {"insertion_gap_mean": 0.0158, "insertion_pressure_max": 0.08}
     summary = {
-        "interfaces": {"collar_bone": {"insertion_pressure_max": 0.0}},
+        "interfaces": {"collar_bone": collar},
         "stem": {"insertion_subsidence": -0.0158},
     }
     (verdict,) = _raised_collar(summary)
     assert "raises the stem by 15.8 um" in verdict.what and "-0.016 mm" in verdict.cure
-    summary["interfaces"]["collar_bone"]["gap_mean"] = 1.0  # it was not meant to rest
-    assert not [*_raised_collar(summary)]
-    summary["interfaces"]["collar_bone"] = {"insertion_pressure_max": 2.0}
-    assert not [*_raised_collar(summary)]
+    for other_gap in (1.0158, 0.001, 0.0):
+        collar["insertion_gap_mean"] = other_gap
+        assert not [*_raised_collar(summary)]
+
+
+def test_press_fit_collar_that_the_flanks_pull_has_no_share() -> None:
+    case = load(CONFIGS / "collar.yaml").config
+    forces = {"collar_bone": [0.0, 0.0, -900.0], "stem_bone": [0.0, 0.0, -100.0]}
+    numbers = of_collar(case, {name: {"force": force} for name, force in forces.items()})
+    assert numbers["collar_share"] == pytest.approx(0.9)
+    forces["stem_bone"] = [0.0, 0.0, 500.0]
+    numbers = of_collar(case, {name: {"force": force} for name, force in forces.items()})
+    assert "collar_share" not in numbers and numbers["flank_force"] < 0.0
+    stem = dict.fromkeys(("subsidence", "retroversion", "varus", "insertion_subsidence"), 0.0)
+    texts = [*headline({"stem": stem | numbers})]
+    assert texts[-1].endswith("they pull it onto the collar (-500 N)")
+
+
+@pytest.mark.parametrize(
+    ("key", "place"),
+    [
+        ("stem_bone.interference=0.5 mm", "interfaces.stem_bone.interference: presses bone by 0.5"),
+        ("stem_bone.interference=[[0 mm, 0 mm], [80 mm, 0.2 mm]]", "presses bone by 0.2 mm"),
+        ("stem_bone.zones={a: {above: 80 mm, interference: 0.3 mm}}", "zones.a.interference"),
+        ("collar_bone.gap=-0.5 mm", "interfaces.collar_bone.gap: is an interference of 0.5 mm"),
+    ],
+)
+def test_press_fit_notes_an_interference_that_bone_does_not_bear(key: str, place: str) -> None:
+    case = load(CONFIGS / "collar.yaml", (f"interfaces.{key}",)).config
+    (text,) = (str(v) for v in preview.warnings(case) if "not crushed" in v.what)
+    assert place in text
+    usual = load(CONFIGS / "collar.yaml", ("interfaces.collar_bone.gap=-0.016 mm",)).config
+    assert not [v for v in preview.warnings(usual) if "not crushed" in v.what]
+
+
+def test_press_fit_strain_after_the_insertion_is_that_of_the_pressure(tmp_path: Path) -> None:
+    """A bar that is pressed along z: half of the interference over its length, without hoop."""
+    results = support.run(
+        PRESSED,
+        tmp_path / "case",
+        "output.report=false",
+        "regions.bone.tissue=bone",
+        "regions.metal.tissue=implant",
+    )
+    q = results.summary["regions"]["bone"]
+    assert q["insertion_compressive_strain_p99"] == pytest.approx(INTERFERENCE / 2 / 4, rel=1e-6)
+    assert results.summary["interfaces"]["bone_metal"]["insertion_gap_mean"] == pytest.approx(
+        0.0, abs=1e-9
+    )
+
+
+def test_press_fit_ingrowth_counts_the_motion_of_the_last_cycle(tmp_path: Path) -> None:
+    """The upper block slides by the shift and returns to a tenth: 0.9 times the shift is inducible.
+
+    With a shift of 0.2 mm the whole area moves by more than 150 um; a stage without cycles after it
+    has no inducible motion.
+    """
+    far = "supports.top.x=0.2 mm"
+    cycles = "stages=[{name: insertion}, {name: shift, cycles: 2}]"
+    results = support.run(PRESSED, tmp_path / "a", "output.report=false", far, cycles)
+    q = results.summary["interfaces"]["bone_metal"]
+    assert q["inducible_p99"] == pytest.approx(0.18, rel=1e-6)
+    assert q["area_inducible_over_150um"] == pytest.approx(q["area"])
+    (text,) = (v["what"] for v in results.summary["verdicts"] if v.get("where") == "ingrowth")
+    assert "100 % more than 150 µm. The motion is that of the last cycle" in text
+    rest = "stages=[{name: insertion}, {name: shift, cycles: 2}, {name: rest}]"
+    history = "supports.top.history=[0, 1, 0.1]"
+    results = support.run(PRESSED, tmp_path / "b", "output.report=false", far, rest, history)
+    assert "inducible_p99" not in results.summary["interfaces"]["bone_metal"]
+    assert results.summary["cycles"]["shift"]["inducible"]["bone_metal"]["micromotion_p99"] == (
+        pytest.approx(0.18, rel=1e-6)
+    )
 
 
 def test_press_fit_loads_need_a_stage_after_the_insertion(tmp_path: Path) -> None:
@@ -227,7 +300,24 @@ def test_press_fit_findings_say_areas_and_strains() -> None:
     q = {"area": 200.0, "area_micromotion_over_40um": 50.0, "area_micromotion_over_150um": 2.0}
     (verdict,) = _ingrowth({"interfaces": {"stem_bone": q, "other": {"area": 1.0}}})
     assert verdict.what.startswith("75 % of stem_bone moves less than 40 µm, 1 % more than 150 µm")
-    bone = SimpleNamespace(low={"insertion_hoop_strain_p99": 0.006}, high=0.008)
-    regions = {"a": bone.low, "b": {"insertion_hoop_strain_p99": bone.high}}
-    (strained,) = _yield({"regions": regions})
-    assert "strains b by 8000 um/m" in strained.what
+    assert "The motion is that of one load" in verdict.what and "beyond" not in verdict.what
+    q |= {"area_inducible_over_40um": 20.0, "area_inducible_over_150um": 0.0}
+    (verdict,) = _ingrowth({"interfaces": {"stem_bone": q}})
+    assert verdict.what.startswith("90 % of stem_bone moves less than 40 µm, 0 % more")
+    assert "that of the last cycle, from valley to peak" in verdict.what
+
+
+def test_press_fit_says_that_bone_yields_before_the_ingrowth() -> None:
+    q = {"area": 200.0, "area_micromotion_over_40um": 0.0, "area_micromotion_over_150um": 0.0}
+    interfaces = {"stem_bone": q | {"insertion_pressure_p95": 27.0}}
+    regions = {
+        "a": {"insertion_hoop_strain_p99": 0.006, "insertion_compressive_strain_p99": 0.0065},
+        "b": {"insertion_hoop_strain_p99": 0.008, "insertion_compressive_strain_p99": 0.009},
+    }
+    summary = {"interfaces": interfaces, "regions": regions}
+    hoop, compressed = _beyond_yield(summary)
+    assert "strains b by 8000 um/m" in hoop.what and "compresses b by 9000 um/m" in compressed.what
+    assert hoop.cure == "reduce the interference of stem_bone"
+    (ingrowth,) = _ingrowth(summary)
+    assert "the insertion strains bone beyond its yield" in ingrowth.what
+    assert _JUDGES.index(_beyond_yield) < _JUDGES.index(_ingrowth)  # the warning is printed first
