@@ -404,6 +404,7 @@ add_quantity(
         step_record=True,
         headline=True,
     ),
+    _interface("compression_max", "mm", "um", label="compression of the layer, max", exact=True),
     _interface(
         "penetration_sampled", "mm", "um", label="penetration between nodes, max", exact=True
     ),

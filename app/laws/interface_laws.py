@@ -304,6 +304,11 @@ class InterfaceLaw(Extensible):
         return None
 
     @property
+    def compresses(self) -> bool:
+        """True if the sides overlap under pressure by the compression of a layer between them."""
+        return False
+
+    @property
     def debonded_contact(self) -> Coulomb | None:
         """Contact law of the debonded area; None if the law has none."""
         return None
@@ -706,6 +711,11 @@ class Coulomb(Unilateral):
         normal = self.elastic_layer.normal
         return math.inf if normal is None else normal, self.elastic_layer.tangential
 
+    @property
+    def compresses(self) -> bool:
+        """True if `elastic_layer` has a normal stiffness."""
+        return self.elastic_layer is not None and self.elastic_layer.normal is not None
+
     def augmentation_of(self, local_stiffness: Floats, factor: float) -> Floats | float:
         """The given augmentation, or the default."""
         if self.augmentation is not None:
@@ -744,6 +754,11 @@ class Traction(InterfaceLaw):
     committed with a converged step. The other results are numbers and fields of the run alone, but
     `dissipated` also sets the steps of a stage with `fracture_step`.
     """
+
+    @property
+    def compresses(self) -> bool:
+        """True: the traction follows from the gap, also from a negative one."""
+        return True
 
     def traction(self, point: GapState) -> Expr:
         """Force per area that resists a gap (3,) [MPa]."""

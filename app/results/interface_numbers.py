@@ -295,6 +295,8 @@ def _numbers(s: ContactSamples, i: int, selected: set[str] | None = None) -> Num
     }
     if selected:
         return main
+    if s.contacts[i].law.compresses:
+        main["compression_max"] = main["penetration_max"]
     main["pressure_mean_max"], _ = surface.field(s.tractions[i]["pressure"].mean, "").maximum()
     by_facets = float(s.by_facets[s.of_points == i].max(initial=0.0))
     if by_facets > DECIDED * main["pressure_max"]:

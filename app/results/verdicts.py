@@ -33,6 +33,8 @@ MOST = 3
 # Factor of the largest pressure over the largest mean at a point above which it depends on the
 # mesh.
 STEEP = 1.5
+# Overlap of bodies above which contact is not satisfied to rounding [mm].
+PENETRATION = 1e-9
 # A largest pressure below this one is shown as 0.00 [MPa].
 SHOWN = 0.005
 # Ends of the keys of percentiles.
@@ -211,29 +213,43 @@ def _crack(name: str, q: Numbers) -> Verdict:
 
 
 def _contact(interfaces: Mapping[str, Numbers]) -> Verdict:
-    """Return the verdict on penetration, and on parts that numbers of interfaces exclude."""
+    """Return the verdict on penetration, and on parts that numbers of interfaces exclude.
 
-    def length(key: str) -> str:
+    Sides with an elastic layer between them overlap by its compression, which is no fault.
+    """
+
+    def length(key: str, value: float) -> str:
         q = TABLE["interfaces"][key]
-        return f"{q.factor * largest[key]:.2g} {q.shown}"
+        return f"{q.factor * value:.2g} {q.shown}"
 
-    largest = {}
-    for key in ("penetration_max", "penetration_sampled"):
-        largest[key] = max(q.get(key, 0.0) for q in interfaces.values())
+    layers = {
+        name: q["compression_max"]
+        for name, q in interfaces.items()
+        if q.get("compression_max", 0.0) >= PENETRATION
+    }
+    exact = [q for q in interfaces.values() if "compression_max" not in q]
+    largest = {
+        key: max((q.get(key, 0.0) for q in exact), default=0.0)
+        for key in ("penetration_max", "penetration_sampled")
+    }
     gap = TABLE["interfaces"]["gap_max"].text
     rims = [f"{gap(q['rim'])} um ({name})" for name, q in interfaces.items() if "rim" in q]
     rim = ""
     if rims:
         rim = f". Rim and tip are excluded; the rim opens by {', '.join(rims)}"
-    if largest["penetration_max"] >= 1e-9:
-        overlap_length = length("penetration_max")
-        message = f"bodies overlap by {overlap_length} at nodes{rim}"
+    layer_text = "".join(
+        f"; the elastic layer of {name} is compressed by up to {length('compression_max', depth)}"
+        for name, depth in layers.items()
+    )
+    if largest["penetration_max"] >= PENETRATION:
+        overlap_length = length("penetration_max", largest["penetration_max"])
+        message = f"bodies overlap by {overlap_length} at nodes{layer_text}{rim}"
         return Verdict(message, CONTACT, severity=Severity.WARNING)
-    overlaps_between_nodes = largest["penetration_sampled"] >= 1e-9
     overlap_text = ""
-    if overlaps_between_nodes:
-        overlap_text = f"; between nodes bodies overlap by up to {length('penetration_sampled')}"
-    message = f"satisfied to rounding at nodes{overlap_text}{rim}"
+    if largest["penetration_sampled"] >= PENETRATION:
+        overlap_length = length("penetration_sampled", largest["penetration_sampled"])
+        overlap_text = f"; between nodes bodies overlap by up to {overlap_length}"
+    message = f"satisfied to rounding at nodes{overlap_text}{layer_text}{rim}"
     return Verdict(message, CONTACT, severity=Severity.GOOD)
 
 

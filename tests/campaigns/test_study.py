@@ -343,6 +343,7 @@ ELSEWHERE = {
     "insertion_compressive_strain_p99",
     # Of curved interfaces with straight facets.
     "pressure_by_facets",
+    "compression_max",  # of elastic layers
     *(f"wear_volume{times}" for times in ("", "_million")),
     *(
         f"wear_depth_{how}{side}{times}"

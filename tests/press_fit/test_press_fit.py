@@ -214,6 +214,17 @@ def test_press_fit_strain_after_the_insertion_is_that_of_the_pressure(tmp_path: 
     )
 
 
+def test_press_fit_with_an_elastic_layer_says_its_compression(tmp_path: Path) -> None:
+    """Blocks of 4 mm and a layer in series: the interference over the sum of their compliances."""
+    layer = "interfaces.bone_metal.elastic_layer={normal: 100 MPa/mm, tangential: 100 MPa/mm}"
+    results = support.run(PRESSED, tmp_path / "case", "output.report=false", layer)
+    compression = INTERFERENCE / (1.0 / 100.0 + 8.0 / 1000.0) / 100.0
+    q = results.summary["interfaces"]["bone_metal"]
+    assert q["compression_max"] == pytest.approx(compression, rel=1e-6)
+    (text,) = (v["what"] for v in results.summary["verdicts"] if v.get("where") == "contact")
+    assert "the elastic layer of bone_metal is compressed by up to 11 µm" in text.replace("um", "µm")
+
+
 def test_press_fit_ingrowth_counts_the_motion_of_the_last_cycle(tmp_path: Path) -> None:
     """The upper block slides by the shift and returns to a tenth: 0.9 times the shift is inducible.
 

@@ -93,6 +93,22 @@ def test_verdicts_on_bad_results() -> None:
     assert lines["slip"][0].endswith("use `sliding: finite`") and lines["slip"][1] == "error"
 
 
+def test_verdicts_on_layers_say_their_compression() -> None:
+    """The overlap of an elastic layer follows from its law; one of exact contact is a fault."""
+    numbers = summary()
+    layer = {"penetration_max": 0.024, "penetration_sampled": 0.025, "compression_max": 0.024}
+    numbers["interfaces"]["stem_bone"] = layer
+    assert judged(numbers)["contact"] == (
+        "satisfied to rounding at nodes; between nodes bodies overlap by up to 4.1 um; the elastic "
+        "layer of stem_bone is compressed by up to 24 um",
+        "good",
+    )
+    numbers["interfaces"]["stem_cement"]["penetration_max"] = 2e-3
+    words, tone = judged(numbers)["contact"]
+    assert words.startswith("bodies overlap by 2 um at nodes; the elastic layer of stem_bone is")
+    assert tone == "warning"
+
+
 def test_verdicts_on_rim_and_tip() -> None:
     """The rim's gap is reported; bodies that slip too far there are not to be used."""
     numbers = summary()
