@@ -305,8 +305,11 @@ class InterfaceLaw(Extensible):
 
     @property
     def compresses(self) -> bool:
-        """True if the sides overlap under pressure by the compression of a layer between them."""
-        return False
+        """True if the sides overlap under pressure by the compression of a layer between them.
+
+        By default of each law whose force follows from the gap.
+        """
+        return not self.is_contact
 
     @property
     def debonded_contact(self) -> Coulomb | None:
@@ -754,11 +757,6 @@ class Traction(InterfaceLaw):
     committed with a converged step. The other results are numbers and fields of the run alone, but
     `dissipated` also sets the steps of a stage with `fracture_step`.
     """
-
-    @property
-    def compresses(self) -> bool:
-        """True: the traction follows from the gap, also from a negative one."""
-        return True
 
     def traction(self, point: GapState) -> Expr:
         """Force per area that resists a gap (3,) [MPa]."""

@@ -12,7 +12,7 @@ from app.case.summary import Numbers, StageCycles
 OF_CYCLES = {"motion_p99", "micromotion_p99", "inducible_p99", "dissipation"}
 # Dissipation per cycle, relative to that up to the first peak, below which it vanishes.
 NOTHING = 0.02
-# Relative change per cycle below which the dissipation counts as constant.
+# Relative change from the first to the last cycle below which the dissipation counts as constant.
 SAME = 0.1
 
 # Numbers of the stem and of each interface at a peak or valley, by name.
@@ -87,15 +87,17 @@ def split(dissipations: list[float], last_turns: list[Turn]) -> StageCycles:
 def trend(first_dissipation: float, per_cycle: list[float]) -> str:
     """Return the trend of dissipation per cycle: ``vanishes``, ``stays``, ``falls``, ``grows``.
 
+    The last cycle is compared with the first peak (it vanishes) and with the first cycle.
+
     Args:
         first_dissipation: Dissipation up to the first peak [N mm].
         per_cycle: Dissipation of each cycle after it [N mm].
     """
     if abs(per_cycle[-1]) <= NOTHING * first_dissipation:
         return "vanishes"
-    if len(per_cycle) < 2 or abs(per_cycle[-1] - per_cycle[-2]) <= SAME * per_cycle[-2]:
+    if abs(per_cycle[-1] - per_cycle[0]) <= SAME * per_cycle[0]:
         return "stays"
-    return "grows" if per_cycle[-1] > per_cycle[-2] else "falls"
+    return "grows" if per_cycle[-1] > per_cycle[0] else "falls"
 
 
 def rows(numbers: StageCycles) -> Iterator[tuple[str, ...]]:
@@ -110,8 +112,13 @@ def rows(numbers: StageCycles) -> Iterator[tuple[str, ...]]:
 def friction(numbers: StageCycles) -> Iterator[str]:
     """Sentence on the friction of a stage with cycles, if it has peaks and valleys."""
     if "trend" in numbers:
-        dissipation_text = ", ".join(f"{d:.3g}" for d in numbers["dissipation"])
-        yield f"dissipation per cycle {numbers['trend']}: {dissipation_text} N mm"
+        per_cycle = numbers["dissipation"]
+        first, last, count = per_cycle[0], per_cycle[-1], len(per_cycle) + 1
+        amounts = f"{first:.3g} N mm in the second"
+        if count > 2:
+            amounts += f", {last:.3g} N mm in the last"
+        ratio = f" ({100 * last / first:.0f} %)" if count > 2 and first > 0.0 else ""
+        yield f"dissipation per cycle {numbers['trend']}: {amounts} of {count} cycles{ratio}"
 
 
 def sentences(cycles: Mapping[str, StageCycles]) -> Iterator[str]:

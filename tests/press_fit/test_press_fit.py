@@ -222,7 +222,9 @@ def test_press_fit_with_an_elastic_layer_says_its_compression(tmp_path: Path) ->
     q = results.summary["interfaces"]["bone_metal"]
     assert q["compression_max"] == pytest.approx(compression, rel=1e-6)
     (text,) = (v["what"] for v in results.summary["verdicts"] if v.get("where") == "contact")
-    assert "the elastic layer of bone_metal is compressed by up to 11 µm" in text.replace("um", "µm")
+    assert "the elastic layer of bone_metal is compressed by up to 11 µm" in text.replace(
+        "um", "µm"
+    )
 
 
 def test_press_fit_ingrowth_counts_the_motion_of_the_last_cycle(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from app.case.summary import StageCycles
 from app.results.cycles import sentences, trend
 from tests import support
 
@@ -64,3 +65,21 @@ def test_cycles_trends() -> None:
     assert trend(20.0, [10.0, 5.0, 0.3]) == "vanishes"
     assert trend(20.0, [10.0, 5.0]) == "falls"
     assert trend(20.0, [10.0, 15.0]) == "grows"
+    assert trend(26.0, [24.3, 22.5, 21.8, 20.9, 20.9]) == "falls"  # and settles
+
+
+@pytest.mark.parametrize(
+    ("per_cycle", "text"),
+    [
+        ([24.3, *[21.0] * 27, 20.9], "falls: 24.3 N mm in the second, 20.9 N mm in the last of 30"),
+        ([18.0, 17.0], "stays: 18 N mm in the second, 17 N mm in the last of 3 cycles (94 %)"),
+        ([18.0], "stays: 18 N mm in the second of 2 cycles"),
+        ([0.0, 0.0], "vanishes: 0 N mm in the second, 0 N mm in the last of 3 cycles"),
+    ],
+)
+def test_cycles_dissipation_is_first_last_and_ratio(per_cycle: list[float], text: str) -> None:
+    """Not a number for each of a thousand cycles."""
+    numbers = StageCycles(dissipation=per_cycle, trend=trend(25.0, per_cycle))
+    (line,) = sentences({"walking": numbers})
+    assert line.startswith(f"walking: dissipation per cycle {text}")
+    assert line.count("N mm") <= 2
