@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Protocol, TypeVar
 
 from app.case.probes import StrainGauge
-from app.case.quantities import ADDED, of_run
+from app.case.quantities import ADDED, PARTS, of_run
 from app.case.run_options import STAGE_KINDS, OutputOptions, Stage, TimeOptions
 from app.case.shapes import COMPANION, MOST_LINES, MeshOptions, Shape
 from app.foundation.verdict import Reason
@@ -391,6 +391,16 @@ def _held(case: CaseParts) -> Iterable[Fault]:
             message = f"no support holds the model{along_axes}{when}"
             cure = "expected a support: fixed, roller, displacement or foundation"
             yield Fault(("supports",), message, cure=cure, code=Reason.LOOSE_BODY)
+
+
+@check()
+def _names_of_zones(case: CaseParts) -> Iterable[Fault]:
+    """Refuse zones with the name of a part that each interface has in the results."""
+    for name, law in _valid(case.interfaces):
+        for zone in law.zone_heights:
+            if zone in PARTS:
+                message = f"results have a part '{zone}' of each interface; choose another name"
+                yield Fault(("interfaces", name, "zones", zone), message)
 
 
 @check("geometry")

@@ -120,3 +120,10 @@ def test_hips_refuse_heights_off_the_stem(key: str, value: str, text: str) -> No
     assert any(re.search(expected, message) for message in messages)
     fitting = "interfaces.stem_bone.interference=[[0 mm, 0 mm], [147 mm, 0.02 mm]]"
     load(CONFIGS / "pressed.yaml", (fitting,))
+
+
+def test_hips_refuse_a_zone_with_the_name_of_a_part() -> None:
+    """Its numbers would stand under the name of the rim's."""
+    change = "interfaces.stem_bone.zones={rim: {above: 80 mm, friction_coefficient: 0.6}}"
+    (line,) = refused(change, path=CONFIGS / "pressed.yaml")
+    assert "zones.rim: results have a part 'rim' of each interface; choose another name" in line
