@@ -144,6 +144,8 @@ def test_docs_yaml_blocks_are_cases_or_parts(page: Path, text: str, tmp_path: Pa
         new_case.write(tmp_path / "hip", "femur")
         if page.stem == "your_hip":
             script("parametric_hip").write(tmp_path)
+        if "image: labels.nii.gz" in text:
+            script("synthetic_ct").main(tmp_path)
         assert load(tmp_path / "case.yaml").config.loads
     elif "base" in data:
         kinds = {"study": StudyFile, "fit": FitFile}
