@@ -63,6 +63,11 @@ class Support(Named):
         """Axes along which it resists motion, at least in part."""
         return self.held_axes
 
+    @property
+    def moves(self) -> bool:
+        """True if it prescribes a displacement that is not zero."""
+        return False
+
     def values(self, x: Floats) -> Floats:
         """Displacement at points at full amplitude (n, 3) [mm], zero along free axes."""
         return 0.0 * x
@@ -137,6 +142,11 @@ class Displacement(Support):
         """Axes along which it constrains the model."""
         return "".join(axis for axis in "xyz" if getattr(self, axis) is not None)
 
+    @property
+    def moves(self) -> bool:
+        """True if one of x, y, z is not zero."""
+        return any((self.x, self.y, self.z))
+
     def values(self, x: Floats) -> Floats:
         """Displacement at points at full amplitude (n, 3) [mm], zero along free axes."""
         given_components = {axis: getattr(self, axis) or 0.0 for axis in "xyz"}
@@ -152,6 +162,7 @@ class Foundation(Named):
     is_spring: ClassVar[Literal[True]] = True
     clamps: ClassVar[bool] = False
     normal: ClassVar[None] = None
+    moves: ClassVar[bool] = False
     # It acts in all stages.
     stages: ClassVar[None] = None
 

@@ -16,7 +16,6 @@ from app.case.quantities import TABLE, in_print
 from app.case.summary import Numbers, Summary
 from app.foundation.verdict import Severity, Verdict, note
 from app.laws.interface_laws import InterfaceLaw, SurfaceZone, insertion_stages
-from app.laws.supports import Displacement
 from app.results.verdicts import judge
 from app.schema.yaml_file import Fault
 from app.soundness.preview import warner
@@ -41,11 +40,12 @@ def _stages(case: Case) -> Iterable[Fault]:
     insertion = insertion_stages(laws, case.geometry.press_fits)
     histories: dict[tuple[str, str], tuple[float, ...] | None] = {
         ("loads", name): load.history for name, load in loads.items() if load.cycle is None
-    } | {
-        ("supports", name): support.history
-        for name, support in case.supports.items()
-        if isinstance(support, Displacement) and any((support.x, support.y, support.z))
     }
+    in_insertion = {stage.name for stage in case.stages[:insertion]}
+    for name, support in case.supports.items():
+        if support is not None and support.is_spring is False and support.moves:
+            if support.stages is None or in_insertion.intersection(support.stages):
+                histories["supports", name] = support.history
     is_cyclic = any(load.cycle is not None for load in loads.values())
     if not insertion or not (histories or is_cyclic):
         return
