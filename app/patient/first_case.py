@@ -207,7 +207,7 @@ def _assumptions(bone: Structure, ct: Path | None, proposal: Proposal) -> Iterat
 
 
 def _against_axes(femur: PatientBone) -> str:
-    """Whether the axes of the image agree with the side, in words."""
+    """Agreement of the axes of the image with the side, in words."""
     if femur.against_axes:
         return ". By the axes of the image it is the other side; is the image mirrored or rotated?"
     return ", and the axes of the image agree"
