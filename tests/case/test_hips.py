@@ -123,7 +123,7 @@ def test_hips_refuse_heights_off_the_stem(key: str, value: str, text: str) -> No
 
 
 def test_hips_refuse_a_zone_with_the_name_of_a_part() -> None:
-    """Its numbers would stand under the name of the rim's."""
+    """Numbers of the zone would stand under the name of the rim."""
     change = "interfaces.stem_bone.zones={rim: {above: 80 mm, friction_coefficient: 0.6}}"
     (line,) = refused(change, path=CONFIGS / "pressed.yaml")
     assert "zones.rim: results have a part 'rim' of each interface; choose another name" in line

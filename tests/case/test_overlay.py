@@ -368,7 +368,7 @@ def test_overlay_refuses_keys_that_a_base_lacks(text: str, message: str, tmp_pat
 
 
 def test_overlay_reports_errors_of_other_sections_too(tmp_path: Path) -> None:
-    """What a wrong name leaves out has no further errors: forces for a body weight, moduli."""
+    """Missing entries cause no further errors: no forces for a body weight, no moduli."""
     loads, mesh = "loads: {library: gaits, body_weight: 600 N}", "mesh: {ordr: 2}"
     text = f"base: blocks.yaml\n{loads}\n{mesh}\nregions: {{upper: {{material: Ti}}}}\n"
     path = write(tmp_path, blocks=BLOCKS, case=text)
