@@ -43,9 +43,11 @@ def _stages(case: Case) -> Iterable[Fault]:
     }
     in_insertion = {stage.name for stage in case.stages[:insertion]}
     for name, support in case.supports.items():
-        if support is not None and support.is_spring is False and support.moves:
-            if support.stages is None or in_insertion.intersection(support.stages):
-                histories["supports", name] = support.history
+        if support is None or support.is_spring or not support.moves:
+            continue
+        moves_at_all = support.history is None or any(support.history)
+        if moves_at_all and (support.stages is None or in_insertion.intersection(support.stages)):
+            histories["supports", name] = support.history
     is_cyclic = any(load.cycle is not None for load in loads.values())
     if not insertion or not (histories or is_cyclic):
         return
