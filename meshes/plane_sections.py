@@ -34,17 +34,21 @@ def section(x: Floats, height: Floats, triangles: Ints | None = None) -> Floats:
 
 def centroid(lines: Floats) -> tuple[Floats, float]:
     """Centroid (2,) and area of the region that lines (k, 2, 2) enclose."""
-    a, b = lines[:, 0], lines[:, 1]
-    twice_areas = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    twice_areas = _twice_areas(lines)
     area = float(twice_areas.sum()) / 2
-    return np.asarray((twice_areas[:, None] * (a + b)).sum(axis=0) / (6 * area)), area
+    weighted = twice_areas[:, None] * lines.sum(axis=1)
+    return np.asarray(weighted.sum(axis=0) / (6 * area)), area
 
 
 def mean_width(lines: Floats) -> float:
     """Diameter of the circle whose area lines (k, 2, 2) enclose; 0 without lines."""
+    return math.sqrt(2.0 * max(float(_twice_areas(lines).sum()), 0.0) / math.pi)
+
+
+def _twice_areas(lines: Floats) -> Floats:
+    """Twice the areas of the triangles of lines (k, 2, 2) with the origin, signed (k,)."""
     a, b = lines[:, 0], lines[:, 1]
-    twice_area = float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
-    return math.sqrt(2.0 * max(twice_area, 0.0) / math.pi)
+    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
 def ray_crossings(lines: Floats, angles: Floats) -> tuple[Ints, Floats]:

@@ -27,7 +27,6 @@ FORMER_KEYS: dict[tuple[str, ...], str] = {
     ("motions", "*", "rotation", "course"): "cycle_table",
     ("heat", "*", "course"): "time_course",
     ("interfaces", "*", "compliance"): "elastic_layer",
-    ("interfaces", "*", "zones", "*", "compliance"): "elastic_layer",
     ("geometry", "resection_height"): "resection.height",
     ("geometry", "resection_angle"): "resection.angle",
     ("question",): "credibility.question",

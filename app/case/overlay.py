@@ -263,7 +263,7 @@ def apply(case: CaseFile, overrides: Iterable[str]) -> None:
         except BadYaml as error:
             case.complaints.append(Fault((), error.text, key or "''"))
     # An override may have changed the weight of the file.
-    other_notes = [note for note in case.notes if note.where != "loads.body_weight"]
+    other_notes = [kept for kept in case.notes if kept.where != "loads.body_weight"]
     case.notes = [*other_notes, *weight_notes(case)]
 
 

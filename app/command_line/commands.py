@@ -100,10 +100,10 @@ def _case_path(path: Path) -> Path:
     """File of the case of a command: a file, or a shipped case by its name alone."""
     shipped = overlay.base_file(path.parent, str(path))
     # A folder of results may have the name of a shipped case.
-    if path.is_file() or (path.exists() and not shipped.exists()):
-        return path
-    if shipped.exists():
+    if shipped.exists() and not path.is_file():
         return shipped
+    if path.exists():
+        return path
     hint = "" if path.suffix else did_you_mean(str(path), overlay.shipped_cases())
     if hint:
         raise InputError(f"{path}: no such file or shipped case{hint}")

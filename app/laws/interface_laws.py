@@ -291,6 +291,11 @@ class InterfaceLaw(Extensible):
         return {}
 
     @property
+    def surface_zones(self) -> Mapping[str, SurfaceZone]:
+        """Zones of a stem's surface, by name; none by default."""
+        return {}
+
+    @property
     def table_heights(self) -> Mapping[tuple[str, ...], tuple[float, ...]]:
         """Heights on the stem in tables of interferences [mm], by the path of the key."""
         return {}
@@ -517,6 +522,11 @@ class Unilateral(Frictional):
         return self
 
     @property
+    def surface_zones(self) -> Mapping[str, SurfaceZone]:
+        """The key `zones`."""
+        return self.zones or {}
+
+    @property
     def heated_by_friction(self) -> FrictionHeating | None:
         """The key `friction_heating`."""
         return self.friction_heating
@@ -524,25 +534,25 @@ class Unilateral(Frictional):
     @property
     def friction(self) -> float:
         """The largest `friction_coefficient` of the interface and its zones."""
-        zones = [zone.friction_coefficient for zone in (self.zones or {}).values()]
+        zones = [zone.friction_coefficient for zone in self.surface_zones.values()]
         return max([self.friction_coefficient, *(μ for μ in zones if μ is not None)])
 
     @property
     def has_gap(self) -> bool:
         """True if a key gives a gap or an interference."""
-        surfaces: list[Unilateral | SurfaceZone] = [self, *(self.zones or {}).values()]
+        surfaces: list[Unilateral | SurfaceZone] = [self, *self.surface_zones.values()]
         return any(surface.gap or surface.interference for surface in surfaces)
 
     @property
     def is_press_fit(self) -> bool:
         """True if `interference` is given, of the interface or of a zone."""
-        surfaces: list[Unilateral | SurfaceZone] = [self, *(self.zones or {}).values()]
+        surfaces: list[Unilateral | SurfaceZone] = [self, *self.surface_zones.values()]
         return any(surface.interference is not None for surface in surfaces)
 
     @property
     def interferes(self) -> bool:
         """True if an interference or a negative gap is given, of the interface or of a zone."""
-        surfaces: list[Unilateral | SurfaceZone] = [self, *(self.zones or {}).values()]
+        surfaces: list[Unilateral | SurfaceZone] = [self, *self.surface_zones.values()]
         return self.is_press_fit or any(
             isinstance(surface.gap, float) and surface.gap < 0.0 for surface in surfaces
         )
@@ -558,7 +568,7 @@ class Unilateral(Frictional):
         reasons = super().without_effect
         if not self.has_gap:
             reasons[("gap_history",)] = "there is no gap and no interference"
-        zones = list((self.zones or {}).items())
+        zones = list(self.surface_zones.items())
 
         def later_zone_that_hides(number: int, key: str) -> str | None:
             for later_name, later_zone in zones[number + 1 :]:
@@ -578,13 +588,13 @@ class Unilateral(Frictional):
     @property
     def zone_heights(self) -> Mapping[str, tuple[float, float]]:
         """Heights of the zones on the stem [mm]."""
-        return {name: zone.heights for name, zone in (self.zones or {}).items()}
+        return {name: zone.heights for name, zone in self.surface_zones.items()}
 
     @property
     def table_heights(self) -> Mapping[tuple[str, ...], tuple[float, ...]]:
         """Heights in the tables of the interface and of its zones [mm]."""
         surfaces: dict[tuple[str, ...], Unilateral | SurfaceZone] = {(): self}
-        surfaces |= {("zones", name): zone for name, zone in (self.zones or {}).items()}
+        surfaces |= {("zones", name): zone for name, zone in self.surface_zones.items()}
         return {
             (*path, "interference"): tuple(height for height, _ in surface.interference)
             for path, surface in surfaces.items()
@@ -604,7 +614,7 @@ class Unilateral(Frictional):
         def gap(x: Floats) -> Floats:
             gaps = gap_of(self, key, x)
             assert gaps is not None  # its default is 0
-            for name, zone in (self.zones or {}).items():
+            for name, zone in self.surface_zones.items():
                 inside = in_zone(*zone.heights, stem.height_on_stem(x))
                 zone_gap = gap_of(zone, f"{key}.zones.{name}", x[inside])
                 if zone_gap is not None:
@@ -620,7 +630,7 @@ class Unilateral(Frictional):
 
         def friction(x: Floats) -> Floats:
             coefficients = np.full(len(x), self.friction_coefficient)
-            for zone in (self.zones or {}).values():
+            for zone in self.surface_zones.values():
                 if zone.friction_coefficient is not None:
                     inside = in_zone(*zone.heights, stem.height_on_stem(x))
                     coefficients[inside] = zone.friction_coefficient

@@ -279,18 +279,21 @@ class PointLaw:
         """Limit friction by given pressures, zero at first, or by those of the state; collective.
 
         With given pressures the problem is that of Tresca: it is convex, and has one solution.
-        Laws with layers or cohesion keep their friction.
+        Friction of the debonded area of a cohesive law stays as it is.
 
         Returns:
-            True if there is friction.
+            True if there is contact with friction.
         """
-        has_friction = bool(self._comm.allreduce(bool(self.frictional.any()), MPI.LOR))
+        local = bool((self.frictional & self.slides).any())
+        has_friction = bool(self._comm.allreduce(local, MPI.LOR))
         is_given = active and has_friction
         self.limiting_force = np.zeros((len(self._points), 3)) if is_given else None
         return has_friction
 
     def relax_limits(self, share: float) -> float:
         """Move the given pressures by a share towards those of the last state; collective.
+
+        The last state is the one of the last evaluation under given pressures.
 
         Returns:
             Norm of the difference of the trial forces over that of the last ones [-].
@@ -344,7 +347,8 @@ class PointLaw:
             "r": r,
             "frozen": np.full(n, float(self.frozen)),
         }
-        self._trial_force = inputs["force"] + r[:, None] * (inputs["jump"] + gap)
+        if self.limiting_force is not None:
+            self._trial_force = inputs["force"] + r[:, None] * (inputs["jump"] + gap)
         point_forces = PointForces.zeros(r, state.internal_variables)
         for group in self._groups:
             rows, law = group.rows, group.law
@@ -487,17 +491,14 @@ class PointLaw:
             np.where(values["pressures"][:, :, None] > 0, normals[:, :faces], 0.0)
             for values in (response, given)
         )
-        friction = given["force"] + np.einsum("pk,pki->pi", given["pressures"], normals[:, :faces])
-        normal_force = -np.einsum("pk,pki->pi", response["pressures"], normals[:, :faces])
-        across_pressed, across_normals = (
-            np.eye(3) - _span_projectors(given_pressed),
-            np.eye(3) - along_normals,
-        )
+        friction = given["force"] - _normal_force(given["pressures"], normals)
+        across_pressed = np.eye(3) - _span_projectors(given_pressed)
+        across_normals = np.eye(3) - along_normals
         by_multiplier = _span_projectors(pressed)
         by_multiplier += across_pressed @ given["by_multiplier"] @ across_normals
         is_open = (response["status"] == OPEN) & (given["status"] == OPEN)
         return response | {
-            "force": normal_force + friction,
+            "force": _normal_force(response["pressures"], normals) + friction,
             "by_multiplier": by_multiplier,
             "status": np.where(is_open, OPEN, np.maximum(given["status"], STICK)),
         }
@@ -530,9 +531,7 @@ class PointLaw:
         by_multiplier = response["by_multiplier"]
         pressures = response["pressures"]
         status = np.rint(response["status"]).astype(np.int64)
-        friction = contact_force + np.einsum(
-            "pk,pki->pi", pressures, points.normals[rows, : pressures.shape[1]]
-        )
+        friction = contact_force - _normal_force(pressures, points.normals[rows])
         is_slipping = in_contact & (status == SLIP)
         by_jump = by_multiplier @ (r[:, None, None] * np.eye(3) - free_projector @ traction_by_jump)
         # The disc of friction grows with the debonded share.
@@ -568,6 +567,11 @@ class PointLaw:
         point_forces.by_multiplier[constrained] = np.eye(3)
         point_forces.by_jump[constrained] = (self.stiffness[:, None, None] * np.eye(3))[constrained]
         point_forces.status[constrained] = STICK
+
+
+def _normal_force(pressures: Floats, normals: Floats) -> Floats:
+    """Force (n, 3) of the pressures (n, k) of the first k faces, by normals (n, 3, 3) [MPa]."""
+    return -np.einsum("pk,pki->pi", pressures, normals[:, : pressures.shape[1]])
 
 
 def _span_projectors(normals: Floats) -> Floats:

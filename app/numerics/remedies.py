@@ -20,12 +20,13 @@ log = logging.getLogger("mantle")
 AUGMENTATIONS = ((0.1, True), (0.01, True), None, (100.0, False), (0.1, False), (0.01, False), None)
 # Factors of the default augmentation, tried last if the case sets another one.
 DEFAULT_FACTORS = (1.0, 0.1, 0.01)
-# Shares by which given pressures follow those of the state, in the order of trial. The critical
-# friction coefficient is 1.4 in `stress/stem.yaml`: 0.5 is enough up to a coefficient of 10, and
-# 0.01 is needed at 1000.
+# Shares by which given pressures follow those of the state, in the order of trial. In
+# `stress/stem.yaml`, where the critical friction coefficient is 1.4, a coefficient of 10 needs
+# shares down to 0.25, and one of 1000 the smallest.
 SHARES = (0.5, 0.25, 0.125, 0.0625, 0.03, 0.015)
-# Difference of the two [-] below which a share has done its work, and updates in which it halves.
+# Relative difference of the two below which they are the same [-].
 SAME_PRESSURES = 1e-3
+# Updates without a halved difference after which the next share is taken.
 MOST_UPDATES = 20
 # Fraction of the default augmentation below which a solution is refined with the default.
 SMALL_AUGMENTATION = 0.05

@@ -60,7 +60,7 @@ class ContactLaw(Protocol):
         """Limit friction by given pressures, zero at first, or by those of the state.
 
         Returns:
-            True if there is friction.
+            True if there is contact with friction.
         """
 
     def relax_limits(self, share: float) -> float:

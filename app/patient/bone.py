@@ -129,7 +129,10 @@ class PatientBone:
 
     @property
     def against_axes(self) -> bool:
-        """True if the axes of the file contradict the side: medial of a left femur is to right."""
+        """True if the axes of the file contradict the side.
+
+        Medial of a left femur is to the right.
+        """
         return (float(self.frame.axes[0, 0]) > 0.0) != (self.frame.side == "left")
 
     def reach(self, azimuth: float, height: float) -> float:

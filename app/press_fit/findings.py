@@ -114,8 +114,8 @@ def _interference(case: Case) -> Iterable[Verdict]:
         if not bones.intersection((*first, *second)):
             continue
         parts: dict[str, InterfaceLaw | SurfaceZone] = {f"interfaces.{name}": law}
-        for zone, part in (getattr(law, "zones", None) or {}).items():
-            parts[f"interfaces.{name}.zones.{zone}"] = part
+        for zone_name, zone in law.surface_zones.items():
+            parts[f"interfaces.{name}.zones.{zone_name}"] = zone
         for place, part in parts.items():
             key, most = _most_interference(part)
             if most > MUCH_INTERFERENCE:

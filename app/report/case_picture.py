@@ -214,7 +214,7 @@ def _lines(view: View, case: Case, data: MeshData) -> None:
     for (name, law), colour in zip(case.interfaces.items(), INTERFACE_COLOURS, strict=False):
         friction = getattr(law, "friction_coefficient", None)
         law_text = f"{law.kind}, friction {plain(friction)}" if friction else law.kind
-        for zone_name, zone in (getattr(law, "zones", None) or {}).items():
+        for zone_name, zone in law.surface_zones.items():
             if zone.friction_coefficient is not None:
                 law_text += f", {zone_name.replace('_', ' ')} {plain(zone.friction_coefficient)}"
         triangles_of_interface = [data.points[interface_facets(data, name)[0][:, :3]]]

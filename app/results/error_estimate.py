@@ -361,13 +361,6 @@ def _zone_errors(run: Summary, order: int, solved: Solved) -> list[Estimated]:
     """Add errors to the means of interfaces and the strain energy of Gruen zones; return them."""
     zones = run.get("gruen", {})
     estimated_numbers: list[Estimated] = []
-
-    def estimate_part(errors: Numbers, key: str, orders: Orders, values: Sequence[float]) -> None:
-        """Keep an error, by the value of its zone and the values of all zones."""
-        size = max(abs(values[0]), LEAST_OF_MEAN * float(np.mean(np.abs(values[1:]))))
-        if size:
-            estimated_numbers.append(Estimated(errors, key, orders, size, of_part=True))
-
     for zone, numbers in zones.items():
         companion_numbers = [
             (companion, companion_summary.get("gruen", {}).get(zone, {}))
@@ -384,15 +377,18 @@ def _zone_errors(run: Summary, order: int, solved: Solved) -> list[Estimated]:
                 for companion, companion_summary in companion_numbers
             ]
             _add_errors(at_interface, orders, order, relatives)
-            for key in orders:
-                if f"{key}_error" in at_interface:
-                    in_zones = [
-                        z["interfaces"][name][key]
-                        for z in zones.values()
-                        if key in z["interfaces"].get(name, {})
-                    ]
-                    values = at_interface[key], *in_zones
-                    estimate_part(at_interface, f"{key}_error", orders[key], values)
+            in_zones = [z["interfaces"].get(name, {}) for z in zones.values()]
+            estimated_numbers += [
+                Estimated(
+                    at_interface,
+                    f"{key}_error",
+                    orders[key],
+                    _size_in_zones(at_interface[key], key, in_zones),
+                    of_part=True,
+                )
+                for key in orders
+                if f"{key}_error" in at_interface
+            ]
         density = numbers["strain_energy_density"]
         relatives = [
             (companion, companion_summary.get("strain_energy_density", {}))
@@ -406,14 +402,24 @@ def _zone_errors(run: Summary, order: int, solved: Solved) -> list[Estimated]:
         }
         if known_errors:
             numbers["strain_energy_density_error"] = known_errors
-        for region in known_errors:
-            in_zones = [
-                z["strain_energy_density"][region]
-                for z in zones.values()
-                if region in z["strain_energy_density"]
-            ]
-            estimate_part(known_errors, region, ORDER_OF_STRESS, (density[region], *in_zones))
-    return estimated_numbers
+        in_zones = [z["strain_energy_density"] for z in zones.values()]
+        estimated_numbers += [
+            Estimated(
+                known_errors,
+                region,
+                ORDER_OF_STRESS,
+                _size_in_zones(density[region], region, in_zones),
+                of_part=True,
+            )
+            for region in known_errors
+        ]
+    return [number for number in estimated_numbers if number.size]
+
+
+def _size_in_zones(value: float, key: str, in_zones: Sequence[Numbers]) -> float:
+    """Size of a number of a Gruen zone: at least a part of the mean over all zones that have it."""
+    sizes = [abs(numbers[key]) for numbers in in_zones if key in numbers]
+    return max(abs(value), LEAST_OF_MEAN * float(np.mean(sizes)))
 
 
 def _add_errors(
