@@ -264,12 +264,11 @@ def fit(canal: WidestCanal, stem: StemSurface, placement: Placement) -> Fit:
     return Fit(float(room[narrowest]), x[narrowest], side)
 
 
-def room_in_words(geometry: HipKeys) -> str:
-    """Least room around the stem of a geometry, with its place.
+def fit_of(geometry: HipKeys) -> Fit:
+    """The fit of the stem of a geometry.
 
     Raises:
         GeometryError: The shaft's axis leaves the bone, or the stem is above the neck cut.
     """
     placement = geometry.placement
-    stem = StemSurface.of(geometry.implant, placement)
-    return fit(canal(geometry), stem, placement).words(placement)
+    return fit(canal(geometry), StemSurface.of(geometry.implant, placement), placement)

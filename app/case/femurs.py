@@ -229,8 +229,6 @@ class Femur(_Femur, OperatedHip):
     stem of the Exeter type, 147 mm long, in an average femur.
     """
 
-    file_keys: ClassVar[tuple[str, ...]] = ("stem.step",)
-
     kind: Literal["femur"] = "femur"
     insertion: InsertionOrBest | None = None
     """Position of the stem, if it is not on the shaft's axis, rotated by `anteversion`; or `best`:

@@ -214,7 +214,6 @@ class MeshFile(Shape):
     """
 
     mesher: ClassVar[str] = "meshes.imported"
-    file_keys: ClassVar[tuple[str, ...]] = ("path",)
 
     kind: Literal["file"] = "file"
     # Before the path, whose check needs them.

@@ -496,9 +496,9 @@ class OperatedHip(Hip):
 
     def room_details(self) -> str:
         """Least room around the stem, in words."""
-        from meshes.room import room_in_words
+        from meshes.room import fit_of
 
-        return room_in_words(self)
+        return fit_of(self).words(self.placement)
 
     @property
     def mantles(self) -> tuple[Mantle, ...]:

@@ -18,8 +18,11 @@ from app.foundation.errors import InputError, MantleError
 
 # Pairs of regions of a mesh that meet, and its interior surfaces.
 Meeting = Callable[[Any, Any], tuple[list[tuple[str, str]], list[str]]]
-# Writer of a case by a segmentation: file, labels, CT, side, label; its lines say what is assumed.
-FromLabels = Callable[[Path, Path, Path | None, str | None, str | None], tuple[Path, list[str]]]
+# Writer of a case by a segmentation: file, labels, CT, side, label, whether the stem is without
+# cement; its lines say what is assumed.
+FromLabels = Callable[
+    [Path, Path, Path | None, str | None, str | None, bool], tuple[Path, list[str]]
+]
 _FROM_LABELS: list[FromLabels] = []
 FOLDER = configs.FOLDER / "start"
 STEMS = {"titanium": "Ti-6Al-4V", "cocr": "CoCrMo", "steel": "316L"}
@@ -31,21 +34,38 @@ MISSING = """\
 """
 
 
-def write(path: Path, kind: str, stem: str = "", meeting: Meeting | None = None) -> Path:
-    """Write a new case that runs as it is, its stem of one of `STEMS`; return its file.
+def write(
+    path: Path,
+    kind: str,
+    stem: str = "",
+    meeting: Meeting | None = None,
+    cementless: bool = False,
+) -> Path:
+    """Write a new case that runs as it is, and return its file.
 
-    `meeting` returns the pairs of regions of a mesh that meet (`meshes.meeting`); by default none.
+    Args:
+        path: The new file.
+        kind: Kind of its geometry.
+        stem: Material of its stem, one of `STEMS`; by default titanium.
+        meeting: Function that returns the pairs of regions of a mesh that meet
+            (`meshes.meeting`); by default none meet.
+        cementless: Whether the stem is without cement.
 
     Raises:
         InputError: The file exists or cannot be written; the kind has no stem.
     """
     if stem and kind not in ("femur", "cylinders"):
         raise InputError(f"--stem {stem}: geometries of kind {kind} have no stem; leave --stem out")
+    if cementless and kind != "femur":
+        raise InputError(
+            f"--cementless: only femora have such a stem, not kind {kind}; leave one of them out"
+        )
     path = yaml(path)
     if kind == "file":
         case_text = _of_mesh_file(path.with_suffix(".msh"), meeting)
     else:
-        case_text = (FOLDER / f"{kind}.yaml").read_text(encoding="utf-8")
+        name = "femur_cementless" if cementless else kind
+        case_text = (FOLDER / f"{name}.yaml").read_text(encoding="utf-8")
         case_text = case_text.replace(STEMS["titanium"], STEMS[stem or "titanium"])
     save(path, case_text)
     return path
@@ -83,7 +103,12 @@ def add_from_labels(proposal: FromLabels) -> None:
 
 
 def from_labels(
-    path: Path, labels: Path, ct: Path | None, side: str | None, label: str | None
+    path: Path,
+    labels: Path,
+    ct: Path | None,
+    side: str | None,
+    label: str | None,
+    cementless: bool = False,
 ) -> tuple[Path, list[str]]:
     """Write a new case of the femur in a segmentation; return its file and what was assumed.
 
@@ -93,13 +118,14 @@ def from_labels(
         ct: CT of the same bone.
         side: Side of the femur, where there are two.
         label: Name or number of the femur's label.
+        cementless: Whether the stem is without cement.
 
     Raises:
         InputError: There is not one femur, no stem fits, or the file exists or cannot be written.
     """
     if not _FROM_LABELS:
         raise InputError("--labels: this installation has no package that reads segmentations")
-    return _FROM_LABELS[-1](path, labels, ct, side, label)
+    return _FROM_LABELS[-1](path, labels, ct, side, label, cementless)
 
 
 def _of_mesh_file(mesh: Path, meeting: Meeting | None) -> str:

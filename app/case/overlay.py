@@ -24,11 +24,10 @@ from app.case.merge_rules import (
     rule_at,
     weight_notes,
 )
-from app.case.shapes import Shape
 from app.foundation.verdict import Verdict, note
-from app.laws.densities import ModulusField
 from app.schema import yaml_file
-from app.schema.section import did_you_mean, kinds_of, show
+from app.schema.paths import BaseText
+from app.schema.section import did_you_mean, show
 from app.schema.yaml_file import BadYaml, CaseFile, Fault, Path, Place, Reader, key_parts, path_text
 
 MOST_BASES = 10
@@ -39,9 +38,6 @@ NAMED = {
     "loads": "library",
     "credibility": "library",
 }
-# Files that a case names relative to its folder, in addition to those that a geometry or a form of
-# `youngs_modulus` declares; a cycle table without a suffix is the library's.
-FILES = ["loads.cycle_table", "loads.*.cycle_table", "motions.*.rotation.cycle_table"]
 SEPARATE_STUDY = (
     "a case has no section study; write a file with base: CASE and this section (mantle study)"
 )
@@ -69,10 +65,11 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
             case.libraries.append(library.read(_named_file(file, "library")))
             case.digests |= case.libraries[-1].digests
             case.notes += case.libraries[-1].notes
-        for keys in _file_keys() if file is not chain[0] else ():
-            _from(FilePath(file.name).parent, file.data, keys.split("."))
         below = None if file is chain[-1] else case.data
         upper = {k: v for k, v in file.data.items() if k not in ("base", "library")}
+        if file is not chain[0]:
+            folder = FilePath(file.name).parent.absolute()
+            upper = {k: BaseText.of(v, folder) for k, v in upper.items()}
         case.data = _merged(case, below, upper, ())
         case.places |= file.places
         _place_in_time(case, file.places)
@@ -83,29 +80,6 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
     if case.data.pop("study", None) is not None:
         case.complaints.append(Fault(("study",), SEPARATE_STUDY))
     return case
-
-
-def _file_keys() -> list[str]:
-    """Keys whose values are files; ``*`` is any name."""
-    of_geometries = [f"geometry.{key}" for kind in kinds_of(Shape) for key in kind.file_keys]
-    of_moduli = [
-        f"regions.*.youngs_modulus.{key}"
-        for kind in kinds_of(ModulusField)
-        for key in kind.file_keys
-    ]
-    return [*dict.fromkeys(of_geometries), *of_moduli, *FILES]
-
-
-def _from(folder: FilePath, part: object, keys: Sequence[str]) -> None:
-    """Complete the path of a file at keys below a mapping; ``*`` is every key."""
-    if isinstance(part, dict):
-        for key in list(part) if keys[0] == "*" else keys[:1]:
-            if keys[1:]:
-                _from(folder, part.get(key), keys[1:])
-                continue
-            name = part.get(key)
-            if isinstance(name, str) and (key != "cycle_table" or "." in name):
-                part[key] = str((folder / expanduser(name)).absolute())
 
 
 def shipped_cases() -> list[str]:

@@ -30,8 +30,11 @@ Sides = tuple[tuple[str, ...], tuple[str, ...]]
 
 LEAST = 1e-8  # size of a cell (mm), so that its powers do not underflow
 COUNTLESS = 1e40  # bound of the number of cells
-# Distance of lines around on a stem, over the size: pressure has ridges 1.5 to 3 mm wide there.
+# Distance of lines around on a stem, over the size, in cement: pressure has ridges 1.5 to 3 mm wide
+# there. Without cement it is smoother: with 36 lines at 6 mm, and with 28 at 8 mm, motions are
+# within 1 % and the p95 of pressure within 5 % of those with 72 lines.
 AROUND = 0.2
+AROUND_IN_BONE = 0.3
 # Distance (mm) that resolves the ridges in cement of the first thickness (mm). In thinner cement
 # they are narrower, as the root of the thickness, down to the second.
 RESOLVED = 1.2
@@ -176,8 +179,6 @@ class Shape(Extensible):
 
     mesher: ClassVar[str]
     """Module that meshes it, by `build(geometry, mesh)`."""
-    file_keys: ClassVar[tuple[str, ...]] = ()
-    """Keys below `geometry` whose values are files, relative to the folder of the case."""
     shape_keys: ClassVar[str] = "geometry"
     """Keys to change where cells are poor, in words of a message."""
     is_around_z: ClassVar[bool] = False
@@ -395,8 +396,8 @@ class MeshOptions(Section):
     around: Annotated[int | float, LinesAround()] | None = None
     """Lines around the stem of a femur: their number, 4 to 1000, or their distance on the stem, a
     quarter of the way down from the neck cut. By default the distance is 0.2 of `size`, or less
-    in cement thinner than 4 mm. The number is a multiple of 4, and at least 16 up to a size of
-    10 mm."""
+    in cement thinner than 4 mm; without cement it is 0.3 of `size`. The number is a multiple of 4,
+    and at least 16 up to a size of 10 mm."""
     along: PositiveLength | None = None
     """Largest step along the stem of a femur; by default `size`. All steps from the shaft to the
     head scale with it."""
@@ -425,13 +426,18 @@ class MeshOptions(Section):
             return self.around
         if self.around is not None:
             return max(COMPANION, 4 * round(perimeter(*section) / self.around / 4.0))
-        wide, narrow = RIDGES
-        thickness = spread(cement)[1] if cement else wide
-        width_ratio = math.sqrt(min(max(thickness, narrow), wide) / wide)
-        by_size = AROUND * self.size
-        distance = min(by_size, max(by_size, RESOLVED) * width_ratio)
+        distance = self._distance_around(cement)
         fewest_lines = LINES if self.size <= COARSE else COMPANION
         return max(fewest_lines, 4 * round(perimeter(*section) / distance / 4.0))
+
+    def _distance_around(self, cement: Thickness) -> float:
+        """Distance of lines around a stem by default (mm), in cement of a thickness (mm)."""
+        if not cement:
+            return AROUND_IN_BONE * self.size
+        wide, narrow = RIDGES
+        thickness = min(max(spread(cement)[1], narrow), wide)
+        by_size = AROUND * self.size
+        return min(by_size, max(by_size, RESOLVED) * math.sqrt(thickness / wide))
 
     def along_cement(self, cement: Thickness) -> float:
         """Cells through cement of a thickness (mm), by the mean of a graded one; 0 without cement.

@@ -139,13 +139,12 @@ def _init(options: argparse.Namespace) -> int:
     _check_init(options)
     if options.labels:
         label_options = options.labels, options.ct, options.side, options.label
-        path, assumed = new_case.from_labels(options.name, *label_options)
+        path, assumed = new_case.from_labels(options.name, *label_options, options.cementless)
         for line in assumed:
             print(f"- {line}")
     else:
-        path = new_case.write(
-            options.name, options.kind or DEFAULT_KIND, options.stem, meshes.meeting
-        )
+        kind = options.kind or DEFAULT_KIND
+        path = new_case.write(options.name, kind, options.stem, meshes.meeting, options.cementless)
     name, folder = shlex.quote(str(path)), shlex.quote(str(Path("out") / path.stem))
     program = shlex.quote(os.environ.get("MANTLE_CALLED", "mantle"))
     print(f"{path} is written; next:")

@@ -57,7 +57,7 @@ SUITE = f"{MANY} -k --tier"
 COMMANDS = {
     "init": (
         "write a short case file to start from; it runs as it is",
-        "name --kind --stem --labels --ct --side --label",
+        "name --kind --stem --cementless --labels --ct --side --label",
     ),
     "run": (
         "solve a case and write its results, with a page report.html",
@@ -200,6 +200,10 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
         choices=("titanium", "cocr", "steel"),
         default="",
         help="material of the stem (default: titanium)",
+    ),
+    "--cementless": dict(
+        action="store_true",
+        help="a stem without cement that fills the canal, of a femur or with --labels",
     ),
     "--labels": dict(
         type=Path,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Discriminator, Tag
@@ -90,9 +90,6 @@ class ModulusField(Extensible):
 
     A subclass is a form of the key `youngs_modulus`.
     """
-
-    file_keys: ClassVar[tuple[str, ...]] = ()
-    """Keys below `youngs_modulus` whose values are files, relative to the folder of the case."""
 
     per_cell: Truth = False
     """True for the mean over each cell, as other programs read it; at first order always so."""

@@ -14,12 +14,17 @@ from app.patient.image_modulus import ImageModulus as ImageModulus
 
 
 def _from_labels(
-    path: Path, labels: Path, ct: Path | None, side: str | None, label: str | None
+    path: Path,
+    labels: Path,
+    ct: Path | None,
+    side: str | None,
+    label: str | None,
+    cementless: bool,
 ) -> tuple[Path, list[str]]:
     """Write a first case by a segmentation."""
     from app.patient import first_case  # most of scipy, which other commands do without
 
-    return first_case.write(path, labels, ct, side, label)
+    return first_case.write(path, labels, ct, side, label, cementless)
 
 
 new_case.add_from_labels(_from_labels)

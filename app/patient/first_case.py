@@ -1,7 +1,8 @@
 """A first case of a patient's hip by a segmentation, for ``mantle init NAME --labels FILE``.
 
 Stems of the parametric kind are tried from large to small. The first one for which there is room
-in the reamed canal is proposed, in the position with the most room.
+in the reamed canal is proposed, in the position with the most room. With ``--cementless`` they are
+stems that fill the canal.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from pydantic import ValidationError
 
 from app.case import new_case
 from app.case.shapes import MeshOptions
+from app.case.stems import Stem
 from app.foundation.errors import InputError
 from app.foundation.implant import Implant
 from app.patient import ct_canal, segmentation
@@ -24,30 +26,84 @@ from app.patient.geometry import Patient
 from app.patient.segmentation import Structure
 from app.schema import yaml_file
 from app.schema.section import faults
+from meshes import room
 
 if TYPE_CHECKING:
     from app.patient.bone import PatientBone
 
-# Length, and width over that of the parametric stem, of stems that are tried.
-STEMS = ((147.0, 1.0), (130.0, 1.0), (130.0, 0.85), (115.0, 0.85), (100.0, 0.8), (90.0, 0.7))
-# Widths of the parametric stem (mm).
-WIDTHS = {
-    "half_width": 8.5,
-    "half_depth": 5.0,
-    "corner_radius": 3.0,
-    "tip_half_width": 3.0,
-    "tip_half_depth": 3.0,
-    "tip_corner_radius": 2.1,
-    "neck_diameter": 13.0,
-    "trunnion_diameter": 12.0,
-}
-CEMENT_THICKNESS = 3.0  # thickness of the mantle (mm)
 CUT_HEIGHT = 8.0  # height of the neck cut above the lesser trochanter (mm)
 CUT_ANGLES = (38.0, 45.0, 30.0)  # angles of the neck cut that are tried (deg)
 OFFSET_RANGE = (32.0, 55.0)  # range of the stem's offset (mm)
+# Least distance of a stem without cement from the widest canal that reaming may make (mm). That
+# canal leaves 1.5 mm of cortex.
+CEMENTLESS_ROOM = 3.0
 CELL_SIZE = 6.0  # size of cells (mm)
 BODY_WEIGHT = 600.0  # body weight of the loads in the library (N)
 CT_THRESHOLD = 600.0  # CT number at the endosteum
+
+
+@dataclass(frozen=True)
+class Fixation:
+    """Stems that are tried, and what holds them in the bone.
+
+    Attributes:
+        stems: Length (mm), and width over `widths`, of stems that are tried, from large to small.
+        widths: Widths of a stem (mm), by key.
+        cement_thickness: Thickness of the cement (mm); 0: none.
+        base: Shipped case with its interfaces, stages and materials.
+        sections: Sections of the case that differ from those of the base.
+    """
+
+    stems: tuple[tuple[float, float], ...]
+    widths: dict[str, float]
+    cement_thickness: float
+    base: str
+    sections: dict[str, object]
+
+
+CEMENTED = Fixation(
+    stems=((147.0, 1.0), (130.0, 1.0), (130.0, 0.85), (115.0, 0.85), (100.0, 0.8), (90.0, 0.7)),
+    widths={
+        "half_width": 8.5,
+        "half_depth": 5.0,
+        "corner_radius": 3.0,
+        "tip_half_width": 3.0,
+        "tip_half_depth": 3.0,
+        "tip_corner_radius": 2.1,
+        "neck_diameter": 13.0,
+        "trunnion_diameter": 12.0,
+    },
+    cement_thickness=3.0,
+    base="stance",
+    sections={"loads": {"library": "one_leg_stance"}},
+)
+# The widest stem with `CEMENTLESS_ROOM` fills the canal.
+CEMENTLESS = Fixation(
+    stems=(
+        (147.0, 1.2),
+        (147.0, 1.1),
+        (147.0, 1.0),
+        (147.0, 0.9),
+        (130.0, 0.9),
+        (130.0, 0.8),
+        (115.0, 0.8),
+        (100.0, 0.7),
+    ),
+    widths={
+        "half_width": 12.0,
+        "half_depth": 8.0,
+        "corner_radius": 4.0,
+        "tip_half_width": 5.0,
+        "tip_half_depth": 5.0,
+        "tip_corner_radius": 4.0,
+    },
+    cement_thickness=0.0,
+    base="pressed",
+    sections={
+        "interfaces": {"stem_bone": {"interference": "0.01 mm"}},
+        "loads": {"library": "one_leg_stance", "history": [0, 1]},
+    },
+)
 
 
 @dataclass(frozen=True)
@@ -64,7 +120,12 @@ class Proposal:
 
 
 def write(
-    path: Path, labels: Path, ct: Path | None, side: str | None, label: str | None
+    path: Path,
+    labels: Path,
+    ct: Path | None,
+    side: str | None,
+    label: str | None,
+    cementless: bool = False,
 ) -> tuple[Path, list[str]]:
     """Write a case of the femur in a segmentation that runs as it is.
 
@@ -74,6 +135,7 @@ def write(
         ct: CT of the same bone, by which the canal is known.
         side: Side of the femur; None: by its name, or its landmarks.
         label: Name or number of the femur's label.
+        cementless: Whether the stem is without cement.
 
     Returns:
         The file, and lines on what was assumed.
@@ -84,13 +146,14 @@ def write(
     """
     path = new_case.yaml(path)
     bone = segmentation.femur(labels, side, label)
-    proposal = _propose(path.parent, bone, segmentation.canal(labels, bone), ct, side)
+    fixation = CEMENTLESS if cementless else CEMENTED
+    proposal = _propose(path.parent, fixation, bone, segmentation.canal(labels, bone), ct, side)
     keys: dict[str, object] = {
-        "base": "stance",
+        "base": fixation.base,
         "title": f"Hip of {labels.name}",
         "geometry": {"kind": "patient", **proposal.keys},
         "mesh": {"size": f"{CELL_SIZE:g} mm"},
-        "loads": {"library": "one_leg_stance"},
+        **fixation.sections,
     }
     new_case.save(
         path,
@@ -98,13 +161,18 @@ def write(
         "# `mantle place` shows and changes the position of the stem.\n\n"
         + yaml_file.to_yaml(keys, short=True),
     )
-    return path, list(_assumptions(bone, ct, proposal))
+    return path, list(_assumptions(bone, ct, fixation, proposal))
 
 
 def _propose(
-    folder: Path, bone: Structure, canal: Structure | None, ct: Path | None, side: str | None
+    folder: Path,
+    fixation: Fixation,
+    bone: Structure,
+    canal: Structure | None,
+    ct: Path | None,
+    side: str | None,
 ) -> Proposal:
-    """Return the largest stem of `STEMS` that fits, with the keys of its geometry.
+    """Return the largest stem that fits, with the keys of its geometry.
 
     Raises:
         InputError: The bone is refused, or no stem fits.
@@ -128,27 +196,38 @@ def _propose(
     reasons = list[str]()
     for angle in CUT_ANGLES:
         resection = {"height": f"{CUT_HEIGHT:g} mm", "angle": f"{angle:g} deg"}
-        for length, width in STEMS:
+        for length, width in fixation.stems:
             keys: dict[str, object] = {
                 "bone": bone_keys,
                 "canal": canal_keys,
-                "stem": _stem(length, width, femur),
+                "stem": _stem(fixation, length, width, femur),
                 "resection": resection,
                 "insertion": "best",
-                "cement_thickness": f"{CEMENT_THICKNESS:g} mm",
+                "cement_thickness": f"{fixation.cement_thickness:g} mm",
             }
             try:
                 geometry = _geometry_of(keys, folder)
                 geometry.check_fit(MeshOptions.model_validate({"size": f"{CELL_SIZE:g} mm"}))
+                if not geometry.is_cemented:
+                    _check_room(geometry)
             except InputError as error:
                 reasons.append(f"{length:g} mm: {error}")
             else:
                 return Proposal(keys, geometry)
+    lengths = [length for length, _ in fixation.stems]
     raise InputError(
-        f"{bone.path}: no stem of {STEMS[-1][0]:g} to {STEMS[0][0]:g} mm fits into this femur."
-        f" Reason for the smallest, {reasons[len(STEMS) - 1]}. Write a case with your own stem:"
+        f"{bone.path}: no stem of {lengths[-1]:g} to {lengths[0]:g} mm fits into this femur."
+        f" Reason for the smallest, {reasons[len(lengths) - 1]}. Write a case with your own stem:"
         " see docs/howto/patient.md"
     )
+
+
+def _check_room(geometry: Patient) -> None:
+    """Raise InputError, with the place, if a stem without cement has too little room."""
+    fit = room.fit_of(geometry)
+    if fit.least < CEMENTLESS_ROOM:
+        room_text = fit.words(geometry.placement)
+        raise InputError(f"room {room_text}; expected at least {CEMENTLESS_ROOM:g} mm")
 
 
 def _geometry_of(keys: dict[str, object], folder: Path) -> Patient:
@@ -165,16 +244,20 @@ def _geometry_of(keys: dict[str, object], folder: Path) -> Patient:
         raise InputError("; ".join(messages)) from error
 
 
-def _stem(length: float, width: float, femur: PatientBone) -> dict[str, object]:
+def _stem(fixation: Fixation, length: float, width: float, femur: PatientBone) -> dict[str, object]:
     """Return keys of a stem with the offset of the patient's head, as far as its neck allows."""
     offset = min(max(round(float(femur.head[0])), OFFSET_RANGE[0]), OFFSET_RANGE[1])
     stem: dict[str, object] = {"length": f"{length:g} mm", "head_offset": f"{offset:g} mm"}
-    if width != 1.0:
-        stem |= {key: f"{round(width * size, 2):g} mm" for key, size in WIDTHS.items()}
+    for key, size in fixation.widths.items():
+        width_of_key = round(width * size, 2)
+        if width_of_key != Stem.model_fields[key].default:
+            stem[key] = f"{width_of_key:g} mm"
     return stem
 
 
-def _assumptions(bone: Structure, ct: Path | None, proposal: Proposal) -> Iterator[str]:
+def _assumptions(
+    bone: Structure, ct: Path | None, fixation: Fixation, proposal: Proposal
+) -> Iterator[str]:
     """Lines on what was assumed."""
     geometry = proposal.geometry
     femur, implant, details = geometry.femur, geometry.implant, geometry.details
@@ -196,12 +279,15 @@ def _assumptions(bone: Structure, ct: Path | None, proposal: Proposal) -> Iterat
     angle = math.degrees(geometry.resection.angle)
     cut = f"neck cut {CUT_HEIGHT:g} mm above the lesser trochanter at {angle:g} deg"
     best_position = geometry.placement_details["best position"]
-    stem = f"{_size(implant)} with {CEMENT_THICKNESS:g} mm of cement"
+    cement = ", without cement"
+    if fixation.cement_thickness:
+        cement = f" with {fixation.cement_thickness:g} mm of cement"
+    stem = f"{_size(implant)}{cement}"
     head = geometry.placement_details["head of the stem"]
     yield f"operation: {cut}; {stem}; best position: {best_position}; head: {head}"
     medial = "the condyles" if femur.has_condyles else "the neck, since the scan has no condyles"
     weight = f"body weight {BODY_WEIGHT:g} N (loads.body_weight)"
-    yield f"loads: one leg, {weight}; x is along {medial}; materials of `stance`"
+    yield f"loads: one leg, {weight}; x is along {medial}; materials of `{fixation.base}`"
     for doubt in femur.notes:
         yield f"note: {doubt}"
 

@@ -130,10 +130,6 @@ class Patient(OperatedHip):
     x is medial, along the posterior condyles. It is along the neck if the surface has no condyles.
     """
 
-    file_keys: ClassVar[tuple[str, ...]] = (
-        *("bone.surface", "bone.image", "canal.surface", "canal.image"),
-        "stem.step",
-    )
     shape_keys: ClassVar[str] = "geometry.insertion or geometry.resection"
 
     kind: Literal["patient"] = "patient"

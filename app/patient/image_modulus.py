@@ -51,7 +51,6 @@ class ImageModulus(ModulusField):
     """Young's modulus by the density in an image."""
 
     from_file: ClassVar[tuple[str, ...]] = ("sha256",)
-    file_keys: ClassVar[tuple[str, ...]] = ("density",)
 
     density: ImageFile
     """Image of CT numbers: NIfTI, DICOM (slices or frames), or `values` and `affine` in an `.npz`

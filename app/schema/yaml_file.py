@@ -173,13 +173,15 @@ class CaseFile:
             change = f"; {self.option}'{section}={{kind: ...}}' replaces the whole section"
             place = option
             verdict = replace(verdict, what=printable(fault.text + change))
-        overrides = self._overrides_beside(path)
-        if overrides and not (fault.place or isinstance(place, str)):
-            if path in self.places:
-                changes = ", ".join(f"{self.option}{override}" for override in overrides)
-                question = f"; does {changes} go with it?"
+        if not (fault.place or isinstance(place, str)):
+            overrides = self._overrides_beside(path)
+            changes = [f"{self.option}{override}" for override in overrides]
+            if place[0] != self.name:
+                changes += self._changes_of_base(path)
+            if changes and path in self.places:
+                question = f"; does {', '.join(changes)} go with it?"
                 verdict = replace(verdict, what=printable(fault.text + question))
-            else:
+            elif overrides:
                 # No file gives the value, but an option gave another one that does not go with it.
                 place = overrides[-1]
         of_key = f": {key}" if key and key != place else ""
@@ -196,12 +198,26 @@ class CaseFile:
         return (order, line, column), replace(verdict, where=location)
 
     def _overrides_beside(self, path: Path) -> list[str]:
-        """Keys of the overrides of the geometry, or of the named section that has a path."""
-        depth = 1 if path[:1] == ("geometry",) else 2
-        section = [str(key) for key in path[:depth]]
-        if len(section) < depth:
+        """Keys of the overrides of the section that has a path."""
+        section = _section(path)
+        if not section:
             return []
-        return [key for key in self.given if key_parts(key)[:depth] == section]
+        parts = [str(key) for key in section]
+        return [key for key in self.given if key_parts(key)[: len(parts)] == parts]
+
+    def _changes_of_base(self, path: Path) -> list[str]:
+        """Values of the file in the section that has a path of its base, with their places."""
+        section = _section(path)
+        if not section:
+            return []
+        sections_above = {key[:-1] for key in self.places}
+        changes = list[str]()
+        for key, place in self.places.items():
+            is_value = key[: len(section)] == section and key not in sections_above
+            if is_value and place[0] == self.name and not isinstance(place, str):
+                _, line, column = place
+                changes.append(f"{path_text(key)} ({self.name}:{line}:{column})")
+        return changes
 
     def _given_path(self, path: Path) -> Path:
         """Path at which the file gives a value: that of the common key, if one gave it."""
@@ -209,6 +225,12 @@ class CaseFile:
             if path[:n] in self.common:
                 return (*self.common[path[:n]], *path[n:])
         return path
+
+
+def _section(path: Path) -> Path:
+    """The geometry, or the named section, that has a path; empty if the path is above it."""
+    depth = 1 if path[:1] == ("geometry",) else 2
+    return path[:depth] if len(path) >= depth else ()
 
 
 def printable(text: str) -> str:

@@ -26,7 +26,6 @@ class Column(Shape):
     """A square column on the plane z = 0."""
 
     mesher: ClassVar[str] = __name__
-    file_keys: ClassVar[tuple[str, ...]] = ("profile",)
     tissues: ClassVar[dict[str, str]] = {"shaft": "other"}
     boundary_names: ClassVar[tuple[str, ...]] = ("bottom", "top")
 

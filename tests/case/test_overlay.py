@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import TypeAdapter
 
 import mantle
 from app.case import library, overlay
@@ -20,6 +21,7 @@ from app.case.case import dump, load
 from app.foundation.errors import InputError
 from app.laws.cycle_tables import CycleTable
 from app.schema import yaml_file
+from app.schema.paths import File
 from tests import support
 from tests.cases.blocks import BLOCKS
 from tests.support import CONFIGS
@@ -98,6 +100,34 @@ def test_overlay_paths_are_relative_to_their_file(
     case: Any = load(path).config
     assert (case.title, case.mesh.order) == ("top", 1)
     assert case.geometry.path == (deep / "patch.geo").resolve()
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        ("geometry", "bone", "surface"),
+        ("geometry", "canal", "ct"),
+        ("remodelling", "intact"),
+        ("loads", "hip", "cycle_table"),
+        ("regions", "bone", "youngs_modulus", "density"),
+        ("geometry", "lists", 0),
+    ],
+    ids=str,
+)
+def test_overlay_files_of_a_base_are_beside_it(keys: tuple[str | int, ...], tmp_path: Path) -> None:
+    """Whatever the key, a file of the same name beside the case is not taken."""
+    for folder in (tmp_path, tmp_path / "deep"):
+        folder.mkdir(exist_ok=True)
+        (folder / "file.dat").touch()
+    value: Any = "file.dat"
+    for key in reversed(keys):
+        value = [value] if key == 0 else {key: value}
+    write(tmp_path / "deep", below=json.dumps(value))
+    merged: Any = overlay.read(write(tmp_path, case="base: deep/below.yaml\ntitle: top\n")).data
+    for key in keys:
+        merged = merged[key]
+    found = TypeAdapter(File).validate_python(merged, context={"folder": tmp_path})
+    assert found == tmp_path / "deep" / "file.dat"
 
 
 def test_overlay_another_kind_replaces_the_mapping(tmp_path: Path) -> None:

@@ -39,13 +39,26 @@ $EndPhysicalNames
 """
 
 
-@pytest.mark.parametrize("kind", ["femur", "cylinders", "blocks", "head_cup"])
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--kind", "femur"],
+        ["--kind", "cylinders"],
+        ["--kind", "blocks"],
+        ["--kind", "head_cup"],
+        ["--cementless"],
+    ],
+    ids=" ".join,
+)
 def test_init_writes_a_short_valid_case(
-    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    options: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MANTLE_CALLED", "mantle")
-    assert main(["init", "first", "--kind", kind]) == 0
+    assert main(["init", "first", *options]) == 0
     out, err = capsys.readouterr()
     assert err == ""
     assert out.splitlines() == [
@@ -77,6 +90,18 @@ def test_init_femur_stands_on_one_leg(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_init_cementless_runs_without_a_warning(tmp_path: Path) -> None:
+    """A first stem without cement is within the limits of physiology and of bone's strength."""
+    path = new_case.write(tmp_path / "hip", "femur", cementless=True)
+    case = mantle.load(path, **{"mesh.size": "6 mm"})
+    assert mantle.check(case).notes == ()
+    summary = mantle.run(case, tmp_path / "out").summary
+    doubtful = (Severity.WARNING, Severity.ERROR)
+    judged = [*verdicts.of_numbers(summary), *recorded(summary)]
+    assert [v.text for v in judged if v.severity in doubtful] == []
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("stem", new_case.STEMS)
 def test_init_femur_runs_without_a_warning(stem: str, tmp_path: Path) -> None:
     """A first hip is within the limits of physiology that it is judged by."""
@@ -104,6 +129,7 @@ def test_init_stem_has_the_given_material(tmp_path: Path) -> None:
             ["--kind", "blocks", "--stem", "cocr"],
             "--stem cocr: geometries of kind blocks have no stem",
         ),
+        (["--kind", "blocks", "--cementless"], "--cementless: only femora have such a stem"),
         (["--kind", "file"], "new.msh: not a gmsh .msh file"),
         (["--ct", "new.msh"], "--ct: needs --labels FILE"),
         (["--side", "right", "--label", "1"], "--side, --label: needs --labels FILE"),

@@ -13,7 +13,7 @@ from meshes.data import MeshData, region_volumes
 from meshes.gruen import Zones
 from meshes.layered_surfaces import LayeredSurfaces
 
-MESH = MeshOptions.model_validate({"size": "10 mm", "curved": True})
+MESH = MeshOptions.model_validate({"size": "10 mm", "curved": True, "around": 20})
 # Half-widths of a stem that fills the canal of the parametric femur.
 TIP = {"tip_half_width": "5.5 mm", "tip_half_depth": "5.5 mm", "tip_corner_radius": "4 mm"}
 FILLING = {"half_width": "12 mm", "half_depth": "8 mm", **TIP}

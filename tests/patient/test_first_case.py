@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import nibabel
@@ -15,7 +16,7 @@ from app.foundation.errors import InputError
 from app.patient import first_case
 from app.patient.geometry import Patient
 from app.soundness.preview import warnings
-from meshes import femur_bone
+from meshes import femur_bone, room
 from meshes.plane_sections import centroid
 from tests.patient.scans import HIP, NUMBERS, in_patient, scan
 
@@ -66,6 +67,33 @@ def test_first_case_without_ct_has_the_canal_of_the_table(tmp_path: Path) -> Non
     assert case_file.load(path).config.title == f"Hip of {labels.name}"
     with pytest.raises(InputError, match="exists already"):
         first_case.write(path, labels, None, None, None)
+
+
+def test_first_case_without_cement_has_the_widest_stem_with_room(tmp_path: Path) -> None:
+    """The next wider stem of the same length has less room than asked."""
+    folder = scan(tmp_path, 150.0, edges=(1.5, 1.5, 1.5))
+    labels, ct = folder / "labels.nii.gz", folder / "ct.nii.gz"
+    path, assumed = first_case.write(folder / "hip", labels, ct, None, None, cementless=True)
+    assert ", without cement; best position" in assumed[3]
+    assert "materials of `pressed`" in assumed[4]
+    case = case_file.load(path).config
+    geometry = case.geometry
+    assert isinstance(geometry, Patient)
+    assert not geometry.is_cemented
+    assert set(case.interfaces) == {"stem_bone"}
+    assert room.fit_of(geometry).least >= first_case.CEMENTLESS_ROOM
+    width = geometry.implant.half_width / first_case.CEMENTLESS.widths["half_width"]
+    stems = first_case.CEMENTLESS.stems
+    tried = stems.index((geometry.implant.length, pytest.approx(width)))
+    length, wider = stems[tried - 1]
+    assert length == geometry.implant.length
+    numbers = {
+        f"geometry.stem.{key}={round(wider * size, 2)} mm"
+        for key, size in first_case.CEMENTLESS.widths.items()
+    }
+    other = case_file.load(path, sorted(numbers)).config.geometry
+    assert isinstance(other, Patient)
+    assert room.fit_of(other).least < first_case.CEMENTLESS_ROOM
 
 
 def test_first_case_refuses_a_ct_of_another_place(tmp_path: Path) -> None:
@@ -161,9 +189,13 @@ def test_first_case_refuses_a_femur_in_which_no_stem_fits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = scan(tmp_path, 120.0, edges=(1.5, 1.5, 1.5))
-    widths = {key: 2.4 * size for key, size in first_case.WIDTHS.items()}
-    monkeypatch.setattr(first_case, "WIDTHS", widths | {"trunnion_diameter": 12.0})
-    monkeypatch.setattr(first_case, "STEMS", ((100.0, 0.99),))
+    widths = {key: 2.4 * size for key, size in first_case.CEMENTED.widths.items()}
+    wide = replace(
+        first_case.CEMENTED,
+        stems=((100.0, 0.99),),
+        widths=widths | {"trunnion_diameter": 12.0},
+    )
+    monkeypatch.setattr(first_case, "CEMENTED", wide)
     monkeypatch.setattr(first_case, "CUT_ANGLES", (38.0,))
     with pytest.raises(InputError, match="no stem of 100 to 100 mm fits into this femur"):
         first_case.write(folder / "hip", folder / "labels.nii.gz", None, None, None)

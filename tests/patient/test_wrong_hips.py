@@ -264,3 +264,16 @@ def test_wrong_hips_override_is_named(
     assert main(["check", str(case), "--set", override]) == 2
     printed = capsys.readouterr().err.strip()
     assert re.search(words, printed), printed
+
+
+def test_wrong_hips_value_of_a_base_names_the_changes_of_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A length that does not go with the widths of the base."""
+    case = tmp_path / "short.yaml"
+    case.write_text("base: pressed\ntitle: Short\ngeometry: {stem: {length: 40 mm}}\n")
+    assert main(["check", str(case)]) == 2
+    place = rf"geometry\.stem\.length \({re.escape(str(case))}:3:19\)"
+    words = rf"pressed\.yaml:\d+:5: geometry\.stem\.half_width: .*; does {place} go with it\?$"
+    printed = capsys.readouterr().err.strip()
+    assert re.search(words, printed), printed
