@@ -146,13 +146,20 @@ def _loads(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[ob
     if upper.keys() >= {*TIME_KEYS}:
         message = f"the loads have a {TIME_KEYS[1]}, too; leave one of the two out"
         case.complaints.append(Fault((*path, TIME_KEYS[0]), message))
+    elif isinstance(set_names, dict):
+        message = "each set of `library` has a history; leave one of the two out"
+        faults = [Fault((*path, key), message) for key in TIME_KEYS if _is_common(upper, key)]
+        case.complaints.extend(faults)
     for key in TIME_KEYS:
-        # A mapping with the name `history` is a load.
-        is_load = key == "history" and isinstance(upper.get(key), dict | None)
-        if key in upper and not is_load:
+        if _is_common(upper, key):
             lower = loads = _loads_with_history(case, loads, key, upper[key])
             upper = _without_keys(upper, key)
     return lower, upper
+
+
+def _is_common(loads: Mapping[str, object], key: str) -> bool:
+    """Return True for a history of all loads; a mapping with the name `history` is a load."""
+    return key in loads and not (key == "history" and isinstance(loads[key], dict | None))
 
 
 def _set(case: CaseFile, name: str, path: Path) -> dict[str, Any]:

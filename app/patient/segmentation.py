@@ -22,6 +22,7 @@ TOTAL_SEGMENTATOR = {
     "version 2": {"femur_left": 75, "femur_right": 76, "hip_left": 77, "hip_right": 78},
     "version 1": {"femur_left": 88, "femur_right": 89, "hip_left": 90, "hip_right": 91},
 }
+BY_NUMBER = "by its number in TotalSegmentator"
 # A file with more labels, or larger ones, is taken for one of TotalSegmentator.
 MANY_LABELS = 20
 # Structures that a message lists.
@@ -113,7 +114,7 @@ def _of_total_segmentator(path: Path, numbers: Sequence[int]) -> list[Structure]
         TOTAL_SEGMENTATOR,
         key=lambda version: len({*TOTAL_SEGMENTATOR[version].values()} & {*numbers}),
     )
-    source = f"by its number in TotalSegmentator, {likely}"
+    source = f"{BY_NUMBER}, {likely}"
     names = {n: name for name, n in TOTAL_SEGMENTATOR[likely].items()}
     return [Structure(path, n, names.get(n, ""), source if n in names else "") for n in numbers]
 
@@ -154,6 +155,10 @@ def femur(path: Path, side: str | None, label: str | None) -> Structure:
             raise InputError(
                 f"--label {label}: {path} has no such label; it has {_list(structures)}"
             )
+        by_number = [s for s in structures if s.source.startswith(BY_NUMBER)]
+        if by_number == matching[:1] and label == str(matching[0].number):
+            # One number of TotalSegmentator alone may be by chance.
+            return Structure(matching[0].path, matching[0].number, "", "")
         return _of_side(matching[0], side)
     femora = [s for s in structures if FEMUR.search(s.name) and not NO_FEMUR.search(s.name)]
     if not femora and len(structures) == 1:

@@ -183,6 +183,7 @@
     const gain = now.least - before, change = `${Math.abs(gain).toFixed(2)} mm ${gain < 0 ? "less" : "more"} than before`;
     $("gain").textContent = now.least < head.least
       ? `No position near the one of the case has room for this stem at this depth. The best ${roomWords(now.least)}. Take a smaller or shorter stem, or ream more.`
+      : gain === 0 && most >= head.reserve ? `The stem stays: it has enough room here.`
       : gain === 0 ? `The stem stays: at this depth the search has no position with more room.`
       : `The least room is now ${now.least.toFixed(2)} mm, ${change}.`;
   }

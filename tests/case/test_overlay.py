@@ -533,6 +533,16 @@ def test_library_history_of_all_loads(tmp_path: Path) -> None:
             ["case.yaml:2:29: loads.library.gait[1]: 'x' is not a number"],
         ),
         (
+            "{library: {gait: [1, 0], stairs_up: [0, 1]}, cycle_table: walking_cycle}",
+            (),
+            ["case.yaml:2:53: loads.cycle_table: each set of `library` has a history; leave"],
+        ),
+        (
+            "{library: {gait: [1, 0], stairs_up: [0, 1]}, history: [0, 1]}",
+            (),
+            ["case.yaml:2:53: loads.history: each set of `library` has a history; leave one"],
+        ),
+        (
             "{history: [0, x], hip: {history: [y, 1]}}",
             (),
             [

@@ -38,6 +38,15 @@ def test_segmentation_femur_by_number_of_totalsegmentator(tmp_path: Path) -> Non
     assert "version 1" in first.source
 
 
+def test_segmentation_given_number_has_no_side_by_chance(tmp_path: Path) -> None:
+    """A left femur with the label 76; beside label 75 it would be a right one."""
+    path = nifti(tmp_path / "s.nii.gz", 5, 76)
+    femur = segmentation.femur(path, "left", "76")
+    assert (femur.number, femur.name, femur.side) == (76, "", None)
+    assert segmentation.femur(path, None, None).side == "right"
+    assert segmentation.femur(nifti(path, 75, 76), None, "76").side == "right"
+
+
 def test_segmentation_femur_by_name(tmp_path: Path) -> None:
     """Of the table in NIfTI, of the file, of a folder, of segments of 3D Slicer."""
     table = segmentation.femur(nifti(tmp_path / "t.nii.gz", 1, 2, table=TABLE), None, None)
