@@ -111,14 +111,18 @@ def rows(numbers: StageCycles) -> Iterator[tuple[str, ...]]:
 
 def friction(numbers: StageCycles) -> Iterator[str]:
     """Sentence on the friction of a stage with cycles, if it has peaks and valleys."""
-    if "trend" in numbers:
-        per_cycle = numbers["dissipation"]
-        first, last, count = per_cycle[0], per_cycle[-1], len(per_cycle) + 1
-        amounts = f"{first:.3g} N mm in the second"
-        if count > 2:
-            amounts += f", {last:.3g} N mm in the last"
-        ratio = f" ({100 * last / first:.0f} %)" if count > 2 and first > 0.0 else ""
-        yield f"dissipation per cycle {numbers['trend']}: {amounts} of {count} cycles{ratio}"
+    if "trend" not in numbers:
+        return
+    per_cycle = numbers["dissipation"]
+    first, last, count = per_cycle[0], per_cycle[-1], len(per_cycle) + 1
+    if count == 2:
+        yield f"dissipation in the second of 2 cycles: {first:.3g} N mm"
+        return
+    ratio = f" ({100 * last / first:.0f} %)" if first > 0.0 else ""
+    yield (
+        f"dissipation per cycle {numbers['trend']}: {first:.3g} N mm in the second,"
+        f" {last:.3g} N mm in the last of {count} cycles{ratio}"
+    )
 
 
 def sentences(cycles: Mapping[str, StageCycles]) -> Iterator[str]:
