@@ -62,7 +62,9 @@ def least_friction(trial: TrialState) -> tuple[Floats, Floats]:
     """Return pressures of faces (n, 3) and friction (n, 3) of local points [MPa].
 
     Where a point sticks on an edge with all faces closed, pressures and friction are not unique:
-    friction on one face can carry the pressure of another. These have the least friction.
+    friction on one face can carry the pressure of another. These have the least friction. On an
+    edge with an elastic layer, friction is that along the edge, where the layer is elastic; the
+    layer is rigid along the normals of all faces.
     """
     contact, law, normals = trial.contact, trial.law, trial.contact.local.normals
     pressures, friction = law.pressures.copy(), contact.state.friction.copy()
@@ -78,6 +80,9 @@ def least_friction(trial: TrialState) -> tuple[Floats, Floats]:
     change = on_faces - pressures[rows]
     pressures[rows] = on_faces
     friction[rows] += np.einsum("pk,pki->pi", change, normals[rows])
+    has_layer = (contact.local.faces > 1) & contact.law.compliance.any(axis=(1, 2))
+    spans = np.linalg.pinv(normals[has_layer]) @ normals[has_layer]
+    friction[has_layer] -= np.einsum("pij,pj->pi", spans, friction[has_layer])
     return pressures, friction
 
 
@@ -255,7 +260,8 @@ class ContactSamples:
         if self.contacts[i].between:
             return {k: TractionSize(m, m, of_points[k]) for k, m in means.items()}
         means["pressure"] = surface.of_faces(self._pressures)
-        means["shear"] = shear_of_faces(self.shear, self._pressures, means["pressure"])
+        if self.contacts[i].law.layer is None:
+            means["shear"] = shear_of_faces(self.shear, self._pressures, means["pressure"])
         of_points["pressure"] = self._pressures.sum(axis=1)
         return {k: TractionSize(m, surface.sharpened(m), of_points[k]) for k, m in means.items()}
 

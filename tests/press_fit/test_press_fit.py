@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import app.extensions  # noqa: F401 (registers the package)
+import mantle
 from app.case.case import load
 from app.foundation.errors import InputError
 from app.laws.interface_laws import Coulomb, insertion_stages
@@ -334,3 +335,16 @@ def test_press_fit_says_that_bone_yields_before_the_ingrowth() -> None:
     (ingrowth,) = _ingrowth(summary)
     assert "the insertion strains bone beyond its yield" in ingrowth.what
     assert _JUDGES.index(_beyond_yield) < _JUDGES.index(_ingrowth)  # the warning is printed first
+
+
+def test_press_fit_shear_obeys_the_elastic_layer(tmp_path: Path) -> None:
+    """Also on the edge of the tip, where friction on a face could carry the pressure of another.
+
+    Shear is the stiffness, 20 MPa/mm, times the elastic part of the motion.
+    """
+    changes = {"mesh.size": "12 mm", "geometry.tip_void": "0 mm", "output": {"error": False}}
+    run = mantle.run(mantle.load(CONFIGS / "pressed.yaml", **changes), tmp_path)
+    numbers = run.summary["interfaces"]["stem_bone"]
+    for part in (numbers, numbers["tip"], numbers["rim"]):
+        # Point values of shear are recovered from means, with an error of some per cent.
+        assert 0.3 < part["shear_max"] < 1.03 * 20 * part["motion_max"]
