@@ -191,7 +191,7 @@
 
   // Controls
 
-  $("about").textContent = `${head.title}. ${head.side === "right" ? "Right" : "Left"} femur. Version is measured from the ${head.relative}.`;
+  $("about").textContent = `${head.title}. ${head.side === "right" ? "Right" : "Left"} femur. Version is measured from the ${head.relative}.${head.collar ? " The collar is not drawn." : ""}`;
   const inputs = {};
   if (stems.length > 1) {
     const row = make("div", $("sliders"), { className: "row" });

@@ -117,6 +117,7 @@ def packed(geometry: OperatedHip, title: str, source: Path) -> tuple[dict[str, o
         "title": title,
         "source": source.name,
         "side": "right" if femur.mirrored else "left",
+        "collar": geometry.stem.collar is not None,
         "cut": {
             "normal": canal.cut.normal.tolist(),
             "level": canal.cut.level,

@@ -224,6 +224,8 @@ def test_placement_page_best_never_has_less_room(tmp_path: Path) -> None:
     for depth, before, after, words in tried(tmp_path / "place.html", TRY_STANCE)["found"]:
         assert after >= before, depth
         assert ("The stem stays" in words) == (after == before), depth
+        # A stem with 0.1 mm more than the wanted thickness is not moved.
+        assert ("enough room" in words) == (after == before and before >= 0.1), depth
 
 
 @pytest.mark.slow
