@@ -143,7 +143,7 @@ TESTED: dict[str, dict[str, Any]] = {
         "loads": {"library": "one_leg_stance"},
     },
 }
-# Stems without cement, which took no part in the fit.
+# Stems without cement, for the factors of press fits.
 FILLING_STEM = {
     "length": "140 mm",
     "half_width": "11 mm",
@@ -473,15 +473,20 @@ def table(folder: Path) -> None:
 
 
 def parts_table(folder: Path) -> None:
-    """Print the table of parts: rims and tips, then Gruen zones of the tested hips."""
+    """Print the table of parts: rims and tips, then Gruen zones."""
     sys.stdout.write(
         "| parts | motions | slips | tractions | stresses | worst hip | all | numbers |\n"
     )
     sys.stdout.write("|---|---|---|---|---|---|---|---|\n")
-    for order, words in (("", "second order"), ("p1", "first order")):
+    for order, words, fixation in (
+        ("", "second order", TESTED),
+        ("p1", "first order", TESTED),
+        ("", "second order, without cement", PRESSED),
+        ("p1", "first order, without cement", PRESSED),
+    ):
         for title in ("rim and tip", "Gruen zones"):
             of_hip: dict[str, list[Judged]] = {}
-            for hip in TESTED:
+            for hip in fixation:
                 for size in SIZES:
                     mesh = f"{size:g}{order}"
                     rows = judged(folder, hip, mesh, parts=True)

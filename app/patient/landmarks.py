@@ -522,8 +522,8 @@ class _Finder:
             distance = abs(float((self.trochanter - self.origin) @ anterior_of_left))
             fault = f"the lesser trochanter is {distance:.0f} mm behind the axis of a {side} femur"
             raise GeometryError(
-                f"geometry.bone.side: {fault}, so that this is no {given_side} one; the side (or the"
-                " name that gives it) is wrong, or the file is mirrored"
+                f"geometry.bone.side: {fault}, so that this is no {given_side} one; the side (or"
+                " the name that gives it) is wrong, or the file is mirrored"
             )
         return str(given_side or side)
 

@@ -200,6 +200,27 @@ def test_error_estimate_raises_accidentally_small_errors() -> None:
     assert values["gap_p99_error"] == pytest.approx(4.0 * 0.1 * least)
 
 
+@pytest.mark.parametrize(("key", "slips", "tractions"), [("gap", 1, 1), ("interference", 3.5, 2.5)])
+def test_error_estimate_of_press_fits_is_larger(key: str, slips: float, tractions: float) -> None:
+    """By fitted factors on slips and tractions, and not on motions."""
+    changes = {"slip_p99": 0.3, "pressure_p95": 0.3, "gap_p99": 0.3}
+    errors = dict[str, dict[str, float]]()
+    for law in ("friction_coefficient=0", f"{key}=0.01 mm"):
+        values: dict[str, float] = dict.fromkeys(changes, 1.0)
+        run: dict[str, Any] = {"interfaces": {"lower_upper": values}}
+        coarser = {k: 1.0 + change for k, change in changes.items()}
+        this = case(
+            f"interfaces.lower_upper.{law}",
+            "stages=[{name: insertion}, {name: press}]",
+            "loads.press.history=[0, 1]",
+        )
+        compared(run, this, {"interfaces": {"lower_upper": coarser}})
+        errors[law] = {k: values[f"{k}_error"] for k in changes}
+    plain, fitted = errors.values()
+    ratios = [fitted[k] / plain[k] for k in changes]
+    assert ratios == pytest.approx([slips, tractions, 1.0])
+
+
 def test_error_estimate_raises_strains_of_the_cortex() -> None:
     """A strain that is equal on two meshes has the usual part, in which strains do not count."""
     this = case("interfaces.lower_upper.friction_coefficient=0")
