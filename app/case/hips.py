@@ -67,6 +67,8 @@ CEMENTED: dict[str, Sides] = {
     "cement_bone": (("cement",), BONE),
 }
 UNCEMENTED: dict[str, Sides] = {"stem_bone": (("stem",), BONE)}
+# Straight facets of a parametric stem that meet at less than this angle are one face (rad).
+ROUNDED_ANGLE = math.radians(60.0)
 COLLAR = "collar"  # region of a collar
 ON_CUT = "collar_bone"  # interface under it
 VOID = 5.0  # length without bone below a stem without cement (mm), by default
@@ -300,6 +302,14 @@ class Hip(Shape):
     def plug_end(self) -> str:
         """Words for the level `plug_length` below the tip."""
         return "the plug's end" if self.is_cemented else f"{self.plug_length:g} mm below the tip"
+
+    @property
+    def rounded_angle(self) -> float:
+        """Angle (rad) up to which straight facets at an edge stand for a rounded one.
+
+        Corners of a parametric stem are round, however coarse its mesh is.
+        """
+        return ROUNDED_ANGLE if self.implant.cad is None else 0.0
 
     def height_on_stem(self, x: Floats) -> Floats:
         """Height of points (n, 3) above the stem's tip, along the stem (n,) [mm]."""

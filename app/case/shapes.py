@@ -288,6 +288,14 @@ class Shape(Extensible):
         """Height of a stem's shoulder above the neck cut, along the shaft's axis (mm)."""
         return 0.0
 
+    @property
+    def rounded_angle(self) -> float:
+        """Angle (rad) up to which straight facets at an edge stand for a rounded one.
+
+        0: the geometry does not know whether edges are rounded.
+        """
+        return 0.0
+
     def height_on_stem(self, x: Floats) -> Floats:
         """Height of points (n, 3) above a stem's tip along it, or z without a stem (n,) [mm]."""
         return x[:, 2]

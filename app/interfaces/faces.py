@@ -11,7 +11,8 @@ from app.interfaces.interface_facets import InterfaceFacets
 from app.interfaces.smooth_normals import slid_along, smooth_normals, unit_sums
 from meshes.data import connected
 
-# Facets that meet at less than this angle are one face.
+# Facets that meet at less than this angle are one face. Where the geometry has rounded edges, it
+# gives a larger angle for straight facets, since friction on a false edge may have no equilibrium.
 FACE_ANGLE = np.deg2rad(30.0)
 # Straight facets that meet at up to this angle are one face if their nodes lie on one quadric, as
 # in a coarse mesh of a cylinder or cone with nine facets around.
@@ -124,7 +125,8 @@ def _smooth_groups(facets: InterfaceFacets) -> Ints:
             3 * facet_count, corners_of_one[is_smooth].ravel(), corners_of_other[is_smooth].ravel()
         )
 
-    is_smooth = cosine > np.cos(FACE_ANGLE)
+    angle = np.where(facets.straight, np.maximum(FACE_ANGLE, facets.rounded_angle), FACE_ANGLE)
+    is_smooth = cosine > np.cos(angle[one // 3])
     is_coarse = ~is_smooth & (cosine > np.cos(COARSE_ANGLE)) & facets.straight[one // 3]
     if is_coarse.any():
         _, error = _normals_of_surface(facets, joined_by(is_smooth | is_coarse))

@@ -34,6 +34,8 @@ class InterfaceFacets:
         normal: Unit normal from master to slave at each vertex (f, 3, 3).
         area: Integral of the linear shape function of each vertex (f, 3) [mm2].
         stiffness: Moduli of the master and the slave cell (f, 2) [MPa].
+        rounded_angle: Angle up to which straight facets at an edge stand for a rounded one (f,)
+            [rad].
     """
 
     interface: Ints
@@ -44,6 +46,7 @@ class InterfaceFacets:
     normal: Floats
     area: Floats
     stiffness: Floats
+    rounded_angle: Floats
 
     @property
     def x(self) -> Floats:
@@ -75,6 +78,7 @@ def sorted_facets(
     nodes: Floats,
     inside_slave: Floats,
     stiffness: Floats,
+    rounded_angle: Floats,
 ) -> InterfaceFacets:
     """Facets of all ranks in an order that does not depend on the partition.
 
@@ -103,4 +107,5 @@ def sorted_facets(
         normal=surface(x, np.eye(3))[0] * sign[:, None, None],
         area=np.einsum("fq,qi->fi", area, QUADRATURE) / (2 * len(QUADRATURE)),
         stiffness=stiffness[rows],
+        rounded_angle=rounded_angle[rows],
     )

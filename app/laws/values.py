@@ -139,6 +139,10 @@ InterferenceField = Annotated[
 class StemPlaces(Protocol):
     """Places on the surface of a stem, as a geometry knows them."""
 
+    @property
+    def rounded_angle(self) -> float:
+        """Angle up to which straight facets at an edge stand for a rounded one [rad]."""
+
     def height_on_stem(self, x: Floats) -> Floats:
         """Height of points (n, 3) above the stem's tip (n,) [mm]."""
 
@@ -148,6 +152,8 @@ class StemPlaces(Protocol):
 
 class NoStem:
     """Places of bodies without a stem: heights are z."""
+
+    rounded_angle = 0.0
 
     def height_on_stem(self, x: Floats) -> Floats:
         """The coordinate z (n,) [mm]."""

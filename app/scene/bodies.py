@@ -258,6 +258,7 @@ def contact_facets(
                 x,
                 cell_centres,
                 stiffness[side_tags],
+                np.full(len(vertices), c.rounded_angle),
             )
         )
     columns = map(np.concatenate, zip(*columns_of_interfaces, strict=True))

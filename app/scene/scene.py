@@ -61,6 +61,7 @@ class Interface:
             separately; else None.
         press_fit: True if micromotion is reported: the jump since the gap last changed.
         zones: Level functions of the zones, by name: points (n, 3) -> (n,), not positive inside.
+        rounded_angle: Angle up to which straight facets at an edge stand for a rounded one [rad].
     """
 
     name: str
@@ -76,6 +77,7 @@ class Interface:
     between: tuple[str, str] | None = None
     press_fit: bool = False
     zones: Mapping[str, Field] = dataclasses.field(default_factory=dict)
+    rounded_angle: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -507,6 +509,7 @@ def _interface(
         zones={
             zone: partial(_height_outside, ends, stem) for zone, ends in law.zone_heights.items()
         },
+        rounded_angle=stem.rounded_angle,
     )
 
 

@@ -34,6 +34,7 @@ def facets_of(
     slave: Sequence[int],
     inside: Sequence[Floats],
     stiffness: Floats | None = None,
+    rounded_angle: float = 0.0,
 ) -> tuple[InterfaceFacets, Floats]:
     """Facets from triangles by coordinates, and the coordinates of the vertices they share."""
     corners = np.array(triangles)
@@ -49,6 +50,7 @@ def facets_of(
             corners,
             np.array(inside, dtype=float),
             np.zeros((n, 2)) if stiffness is None else stiffness,
+            np.full(n, rounded_angle),
         ),
         x,
     )
@@ -118,6 +120,22 @@ def test_contact_points_faces_split_above_30_degrees(angle: float, faces: int) -
     else:
         cosines = np.einsum("pi,pi->p", n[:, 0], n[:, 1])
         np.testing.assert_allclose(cosines, np.cos(t), atol=1e-12)
+
+
+@pytest.mark.parametrize(("angle", "faces"), [(31, 1), (59, 1), (61, 2)])
+def test_contact_points_faces_join_at_rounded_edges(angle: float, faces: int) -> None:
+    """Up to the angle that a geometry with rounded edges gives."""
+    t = np.deg2rad(angle)
+    up = np.array([-np.cos(t), 0.0, -np.sin(t)])
+    triangles = patch([0, 0, 0], [1, 0, 0], [0, 1, 0], 2) + patch([0, 0, 0], up, [0, 1, 0], 2)
+    n = len(triangles)
+    inside = [np.array([0.0, 0.5, 1.0])] * n
+    facets, _ = facets_of(
+        triangles, [0] * n, [0] * n, [1] * n, inside, rounded_angle=np.deg2rad(60)
+    )
+    points, _ = contact_points(facets, NOTHING_HELD, ["a"], {})
+    ridge = np.abs(points.x[:, 0]) + np.abs(points.x[:, 2]) < 1e-9
+    assert (points.faces[ridge] == faces).all()
 
 
 def test_contact_points_have_at_most_three_faces() -> None:

@@ -348,3 +348,20 @@ def test_press_fit_shear_obeys_the_elastic_layer(tmp_path: Path) -> None:
     for part in (numbers, numbers["tip"], numbers["rim"]):
         # Point values of shear are recovered from means, with an error of some per cent.
         assert 0.3 < part["shear_max"] < 1.03 * 20 * part["motion_max"]
+
+
+@pytest.mark.parametrize("size", [12, 20])
+def test_press_fit_of_straight_cells_converges(size: int, tmp_path: Path) -> None:
+    """Corners of the stem are round, although facets of coarse cells meet there at 45 degrees.
+
+    With two faces for a corner, friction of 0.3 without an elastic layer has no equilibrium.
+    """
+    changes = {
+        "mesh": {"size": f"{size} mm", "order": 1},
+        "interfaces.stem_bone.elastic_layer": None,
+        "interfaces.stem_bone.friction_coefficient": 0.3,
+        "interfaces.stem_bone.interference": "0.008 mm",
+        "output": {"error": False},
+    }
+    run = mantle.run(mantle.load(CONFIGS / "pressed.yaml", **changes), tmp_path)
+    assert run.summary["solver"]["newton_iterations"] <= 30

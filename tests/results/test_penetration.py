@@ -44,6 +44,7 @@ def on_a_cylinder(radius: float, angle: float) -> tuple[InterfaceFacets, Floats]
         normal=(nodes[None, :3] * (1, 1, 0)) / radius,
         area=np.ones((1, 3)),
         stiffness=np.ones((1, 2)),
+        rounded_angle=np.zeros(1),
     )
     return facets, nodes
 
