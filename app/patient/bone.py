@@ -128,12 +128,14 @@ class PatientBone:
         return self.frame.side == "right"
 
     @property
-    def against_axes(self) -> bool:
-        """True if the axes of the file contradict the side.
+    def side_doubt(self) -> str:
+        """The other side as a doubt, if the axes of the file contradict the side; else empty.
 
         Medial of a left femur is to the right.
         """
-        return (float(self.frame.axes[0, 0]) > 0.0) != (self.frame.side == "left")
+        if (float(self.frame.axes[0, 0]) > 0.0) == (self.frame.side == "left"):
+            return ""
+        return "by the axes of the image it is the other side; is the image mirrored or rotated?"
 
     def reach(self, azimuth: float, height: float) -> float:
         """Distance of the surface from the shaft's axis [mm].

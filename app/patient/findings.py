@@ -23,11 +23,11 @@ def _bone(case: Case) -> Iterable[Verdict]:
             yield note(note_text, "geometry.bone")
         for name, note_text in case.geometry.femur.frame.given_doubts:
             yield note(note_text, f"geometry.landmarks.{name}")
-        if case.geometry.bone.image and case.geometry.femur.against_axes:
+        side_doubt = case.geometry.femur.side_doubt
+        if case.geometry.bone.image and side_doubt:
             side = case.geometry.femur.frame.side
             yield note(
-                f"the landmarks are those of a {side} femur, but by the axes of the image it is the"
-                " other side; is the image mirrored or rotated?",
+                f"the landmarks are those of a {side} femur, but {side_doubt}",
                 "geometry.bone.image",
             )
         longer = lengthening(case.geometry)

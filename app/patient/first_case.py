@@ -263,8 +263,9 @@ def _assumptions(
     femur, implant, details = geometry.femur, geometry.implant, geometry.details
     frame = femur.frame
     source = f", {bone.source}" if bone.source else ""
+    axes = f"but {femur.side_doubt}" if femur.side_doubt else "and the axes of the image agree"
     side_source = "" if geometry.bone.side else ", by the lesser trochanter"
-    yield f"femur: {bone}{source}; {frame.side}{side_source}{_against_axes(femur)}"
+    yield f"femur: {bone}{source}; {frame.side}{side_source}, {axes}"
     end_level = geometry.continued_below
     scan = "the scan contains the shaft that is needed"
     if end_level is not None:
@@ -290,13 +291,6 @@ def _assumptions(
     yield f"loads: one leg, {weight}; x is along {medial}; materials of `{fixation.base}`"
     for doubt in femur.notes:
         yield f"note: {doubt}"
-
-
-def _against_axes(femur: PatientBone) -> str:
-    """Agreement of the axes of the image with the side, in words."""
-    if femur.against_axes:
-        return ". By the axes of the image it is the other side; is the image mirrored or rotated?"
-    return ", and the axes of the image agree"
 
 
 def _canal(geometry: Patient, ct: Path | None) -> str:

@@ -26,13 +26,22 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_case_picture_labels_do_not_overlap(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made: list[Any] = []
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """The figures that a test makes."""
+    made_figures: list[Any] = []
     new = figures.new
-    monkeypatch.setattr(figures, "new", lambda *size: made.append(new(*size)) or made[-1])
+
+    def recorded(*size: float) -> Any:
+        made_figures.append(new(*size))
+        return made_figures[-1]
+
+    monkeypatch.setattr(figures, "new", recorded)
+    return made_figures
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_case_picture_labels_do_not_overlap(name: str, tmp_path: Path, made: list[Any]) -> None:
     case = load(support.CONFIGS / name, [f"mesh.size={CASES[name]}"]).config
     data = build(case.geometry, case.mesh, folders.cache("meshes"))
     case_picture.draw(case, data, tmp_path / "case.png")
@@ -58,13 +67,8 @@ def test_case_picture_labels_do_not_overlap(
         )
 
 
-def test_case_picture_long_title_and_legend_fit(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_case_picture_long_title_and_legend_fit(tmp_path: Path, made: list[Any]) -> None:
     """A title of many lines is inside the picture; a legend of six lines covers no axis."""
-    made: list[Any] = []
-    new = figures.new
-    monkeypatch.setattr(figures, "new", lambda *size: made.append(new(*size)) or made[-1])
     case = load(
         support.CONFIGS / "blocks.yaml", ["mesh.size=4mm", f"title={'many words of a title ' * 20}"]
     ).config
@@ -83,12 +87,7 @@ def test_case_picture_long_title_and_legend_fit(
     assert not [(a, b) for a, b in combinations(boxes, 2) if a.overlaps(b)]
 
 
-def test_case_picture_legend_has_the_friction_of_zones(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made: list[Any] = []
-    new = figures.new
-    monkeypatch.setattr(figures, "new", lambda *size: made.append(new(*size)) or made[-1])
+def test_case_picture_legend_has_the_friction_of_zones(tmp_path: Path, made: list[Any]) -> None:
     zones = "interfaces.stem_bone.zones={half_coated: {above: 80 mm, friction_coefficient: 0.6}}"
     case = load(support.CONFIGS / "pressed.yaml", ["mesh.size=12 mm", zones]).config
     data = build(case.geometry, case.mesh, folders.cache("meshes"))
