@@ -68,6 +68,21 @@ add_quantity(
         label="gap after the insertion, mean",
         order=ORDER_OF_MOTION,
     ),
+    _interface(
+        "insertion_gap_p95",
+        "mm",
+        "um",
+        1,
+        label="gap after the insertion, p95",
+        order=ORDER_OF_MOTION,
+    ),
+    _interface(
+        "insertion_open_fraction",
+        "-",
+        "%",
+        0,
+        label="open fraction of the area after the insertion",
+    ),
     _region(
         "insertion_hoop_strain_p99",
         "-",

@@ -1,4 +1,4 @@
-"""Pressure on a stem, and strain of the bone around it, at the end of the insertion."""
+"""Pressure and gap of a stem, and strain of the bone around it, at the end of the insertion."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ from app.results.surface_parts import in_parts
 from app.stepping.load_steps import LoadStep, OnStep
 
 # Numbers of an interface that are published.
-OF_INTERFACE = ("pressure_mean", "pressure_p95", "pressure_max", "gap_mean")
+OF_INTERFACE = (
+    *("pressure_mean", "pressure_p95", "pressure_max"),
+    *("gap_mean", "gap_p95", "open_fraction"),
+)
 
 
 def _of_insertion(numbers: Numbers) -> Numbers:

@@ -26,10 +26,10 @@ YIELD = 0.007
 STRAINS = {"insertion_hoop_strain_p99": "strains", "insertion_compressive_strain_p99": "compresses"}
 # Radial interference above which elastic bone has no meaning [mm]; docs/howto/cementless.md.
 MUCH_INTERFERENCE = 0.1
-# Rise of a collar by the insertion of which a warning is given [mm].
+# Rise of a stem by the insertion, and mean gap of its collar, above which a warning is given [mm].
 RAISED = 0.003
-# Mean gap of a raised collar over its rise, above which it does not rest on the bone.
-LIFTED = 0.25
+# Part of the collar's area above which it does not rest on the bone.
+MOSTLY_OPEN = 0.5
 
 
 @check("geometry", "interfaces", "stages", "loads", "supports")
@@ -183,14 +183,21 @@ def _raised_collar(summary: Summary) -> Iterable[Verdict]:
     """Collars that the insertion lifts off the bone."""
     collar = summary.get("interfaces", {}).get(ON_CUT, {})
     rise = -summary.get("stem", {}).get("insertion_subsidence", 0.0)
-    gap = collar.get("insertion_gap_mean", 0.0)
-    is_lifted = min(rise, gap) > RAISED and gap > LIFTED * rise
+    gap, open_fraction = (
+        collar.get(f"insertion_{key}", 0.0) for key in ("gap_mean", "open_fraction")
+    )
+    is_lifted = min(rise, gap) > RAISED and open_fraction > MOSTLY_OPEN
     has_clearance = gap > rise + RAISED
     if is_lifted and not has_clearance:
+        largest_gap = collar["insertion_gap_p95"]
         message = (
-            f"the insertion raises the stem by {1e3 * rise:.1f} um and lifts its collar off the"
-            f" bone by {1e3 * gap:.1f} um (mean), since the stem grows in its bed; a collar that is"
-            " seated last carries more"
+            f"the insertion raises the stem by {1e3 * rise:.1f} um, since it grows in its bed;"
+            f" {100 * open_fraction:.0f} % of its collar is off the bone, by {1e3 * gap:.1f} um in"
+            f" the mean and {1e3 * largest_gap:.1f} um (p95). A collar that is seated last carries"
+            " more"
         )
-        advice = f"to seat it, set `gap: {-rise:.3f} mm` in interfaces.{ON_CUT}"
+        advice = (
+            f"to bring it closer, change the `gap` of interfaces.{ON_CUT} by {-largest_gap:.3f} mm"
+            " (it is 0 mm if not given)"
+        )
         yield Verdict(message, "insertion", advice, Severity.WARNING)

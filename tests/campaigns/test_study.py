@@ -338,6 +338,7 @@ ELSEWHERE = {
     *(f"micromotion_{part}" for part in ("mean", "p95", "p99", "max")),
     *("area_micromotion_over_40um", "area_micromotion_over_150um"),
     *("area_inducible_over_40um", "area_inducible_over_150um", "insertion_gap_mean"),
+    *("insertion_gap_p95", "insertion_open_fraction"),
     *(f"insertion_pressure_{part}" for part in ("mean", "p95", "max")),
     *("insertion_hoop_strain_p99", "insertion_hoop_strain_max"),
     "insertion_compressive_strain_p99",

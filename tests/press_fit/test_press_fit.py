@@ -157,16 +157,41 @@ def test_press_fit_zones_have_the_pressure_after_the_insertion(tmp_path: Path) -
 
 def test_press_fit_raises_a_collar() -> None:
     """Also a collar of which a corner still touches; not one that is seated or has a clearance."""
-    collar = {"insertion_gap_mean": 0.0158, "insertion_pressure_max": 0.08}
+    collar = {
+        "insertion_gap_mean": 0.0129,
+        "insertion_gap_p95": 0.0158,
+        "insertion_open_fraction": 0.97,
+        "insertion_pressure_max": 0.08,
+    }
     summary = {
         "interfaces": {"collar_bone": collar},
         "stem": {"insertion_subsidence": -0.0158},
     }
     (verdict,) = _raised_collar(summary)
     assert "raises the stem by 15.8 um" in verdict.what and "-0.016 mm" in verdict.cure
+    assert "97 % of its collar is off the bone, by 12.9 um in the mean" in verdict.what
     for other_gap in (1.0158, 0.001, 0.0):
         collar["insertion_gap_mean"] = other_gap
         assert not [*_raised_collar(summary)]
+
+
+def test_press_fit_collar_with_a_gap_is_raised_only_if_most_of_it_is_off_the_bone() -> None:
+    """A tilted collar. The stem rises by 7.8 and 8.9 um at gaps of -0.007 and -0.016 mm."""
+    collar = {
+        "insertion_gap_mean": 0.0044,
+        "insertion_gap_p95": 0.0085,
+        "insertion_open_fraction": 0.65,
+    }
+    summary = {
+        "interfaces": {"collar_bone": collar},
+        "stem": {"insertion_subsidence": -0.0078},
+    }
+    (verdict,) = _raised_collar(summary)
+    assert "change the `gap` of interfaces.collar_bone by -0.009 mm" in verdict.cure
+    assert "seat" not in verdict.cure
+    collar |= {"insertion_gap_mean": 0.0055, "insertion_open_fraction": 0.35}
+    summary["stem"]["insertion_subsidence"] = -0.0089
+    assert not [*_raised_collar(summary)]
 
 
 def test_press_fit_collar_that_the_flanks_pull_has_no_share() -> None:
@@ -210,9 +235,9 @@ def test_press_fit_strain_after_the_insertion_is_that_of_the_pressure(tmp_path: 
     )
     q = results.summary["regions"]["bone"]
     assert q["insertion_compressive_strain_p99"] == pytest.approx(INTERFERENCE / 2 / 4, rel=1e-6)
-    assert results.summary["interfaces"]["bone_metal"]["insertion_gap_mean"] == pytest.approx(
-        0.0, abs=1e-9
-    )
+    of_interface = results.summary["interfaces"]["bone_metal"]
+    for key in ("gap_mean", "gap_p95", "open_fraction"):
+        assert of_interface[f"insertion_{key}"] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_press_fit_with_an_elastic_layer_says_its_compression(tmp_path: Path) -> None:
