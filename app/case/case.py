@@ -26,7 +26,7 @@ from pydantic.config import JsonDict
 from app.case import checks, overlay, points
 from app.case.credibility import Credibility
 from app.case.geometries import Geometry, MeshFile, MeshOptions
-from app.case.merge_rules import MEASURED
+from app.case.merge_rules import MEASURED, at_common_table
 from app.case.points import Point
 from app.case.run_options import OutputOptions, SolverOptions, Stage, TimeOptions
 from app.case.shapes import Point3
@@ -331,6 +331,7 @@ def resolve(file: CaseFile, folder: Path) -> Case:
         InputError: As `load`.
     """
     case, faults = valid_parts(file.data, folder)
+    faults = [at_common_table(fault, file.common) for fault in faults]
     if file.incomplete:
         file.raise_all([fault for fault in faults if fault.path[:1] not in file.incomplete])
     case = _with_tissues(case, file.tissues)

@@ -17,6 +17,7 @@ from pydantic_core import PydanticCustomError
 from app.case import library
 from app.foundation.errors import InputError
 from app.foundation.verdict import Verdict, note
+from app.laws.loads import DIRECTION, NO_FORCE
 from app.schema import yaml_file
 from app.schema.section import VECTOR, Triple, did_you_mean, show
 from app.schema.units import ANGLE, FORCE, WEIGHT
@@ -34,6 +35,12 @@ GRAVITY = 9.81  # m/s^2
 USUAL_WEIGHTS = (300.0, 1500.0)
 # Keys among the loads that say how all forces there change in time, one or the other.
 TIME_KEYS = ("history", "cycle_table")
+# The fault of a common cycle table with columns of a force.
+FORCES_IN_COMMON_TABLE = (
+    "has a force, but all loads here take this table, and each has a force; expected a column"
+    " `factor [%]`, the part of the forces that acts. A table with a force is for one load:"
+    " `hip: {force: null, cycle_table: hip.csv}`, with columns force x, force y, force z"
+)
 
 # Turns the upper value at a path into plain values, and removes what they replace in the lower one:
 # (case, lower, upper, path) -> (lower, upper).
@@ -303,6 +310,18 @@ def _loads_with_history(
         else load
         for name, load in loads.items()
     }
+
+
+def at_common_table(fault: Fault, common: Mapping[Path, Path]) -> Fault:
+    """Return a fault; if a common cycle table does not fit a force, at the key of the table.
+
+    The same fault of several loads is then reported once.
+    """
+    match fault.path:
+        case ("loads", name, "force") if fault.text.endswith((DIRECTION, NO_FORCE)):
+            table = common.get(("loads", name, "cycle_table"))
+            return fault if table is None else Fault(table, FORCES_IN_COMMON_TABLE)
+    return fault
 
 
 def _measure(case: CaseFile, key: str, value: object) -> None:

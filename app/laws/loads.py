@@ -30,6 +30,10 @@ ForceDensityField = Annotated[
     float | str, Varying(Dimension("N/mm^3", "a force per volume", "1e-5 N/mm^3"))
 ]
 
+# What is expected of the force beside a cycle table with a column `force`, and with components.
+DIRECTION = "the direction, 1 N long"
+NO_FORCE = "none: the cycle table has the components (over a base: `force: null`)"
+
 
 def _point(value: object, info: ValidationInfo) -> object:
     """Replace the name of a point of the geometry by its coordinates."""
@@ -226,11 +230,7 @@ class Force(Load):
             return self
         expected_size = given_groups == [("force",)]
         if abs(size - expected_size) > 1e-3:
-            expected_text = (
-                "the direction, 1 N long"
-                if expected_size
-                else "none: the cycle table has the components (over a base: `force: null`)"
-            )
+            expected_text = DIRECTION if expected_size else NO_FORCE
             fail(f"is {size:g} N long; expected {expected_text}", at=("force",))
         return self
 

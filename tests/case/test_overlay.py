@@ -620,6 +620,22 @@ def test_library_cycle_table_of_all_loads(tmp_path: Path) -> None:
         loaded(tmp_path, text.replace("mine.csv", "jogging"))
 
 
+@pytest.mark.parametrize(
+    "columns", ["time [s], force [N]\n0, 9\n1, 9", "time [s], force x [N]\n0, 9\n1, 9"]
+)
+def test_library_cycle_table_of_all_loads_has_factors_alone(columns: str, tmp_path: Path) -> None:
+    """A table with a force is refused once, at the line of the case."""
+    (tmp_path / "hip.csv").write_text(columns)
+    case = "base: stance\nloads: {library: gait, cycle_table: hip.csv}\n"
+    (text,) = messages(write(tmp_path, case=case))
+    assert text.startswith("case.yaml:2:24: loads.cycle_table: has a force, but all loads here")
+    assert "expected a column `factor [%]`" in text
+    (tmp_path / "case.yaml").write_text("base: stance\n")
+    with pytest.raises(InputError, match=r"^loads.cycle_table: has a force") as error:
+        mantle.load(tmp_path / "case.yaml", **{"loads.cycle_table": "hip.csv"})
+    assert len(error.value.messages) == 1
+
+
 def test_library_cycle_table_names_the_history_that_it_replaces(tmp_path: Path) -> None:
     case = "base: stance\nloads: {library: gait, history: [1]}\n"
     (tmp_path / "case.yaml").write_text(case)
