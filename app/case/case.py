@@ -99,8 +99,9 @@ class Case(Section):
         json_schema_extra={"properties": LIBRARY_KEYS},
     )
     """Loads on the bodies. `library: NAME` takes all loads of a set in the library, in place of
-    those of the base; further keys change them. `library: {walking: [1, 0], stairs_up: [0, 1]}`
-    takes several sets, each with its history; their loads are called `walking_hip` and so on.
+    those of the base; further keys change them. `library: {walking: [1, 0, 0], stairs_up: [0, 0,
+    1]}` takes several sets, each with its history, here with a stage of rest between them. Their
+    loads are called `walking_hip` and so on.
     `body_weight: 750 N` scales the forces. `history: [0, 1]` or `cycle_table: walking_cycle`
     applies to all of them. `sagittal_tilt: 8.4 deg` rotates them about x, from the frame of the
     measurement to that of the shaft. The angle is the backward tilt of the proximal shaft in the

@@ -21,7 +21,7 @@ from app.laws.values import MEMORY
 from app.scene.scene import build_scene
 from app.schema.section import Section, added_keys, is_given
 from app.soundness.cost import solid
-from app.system.layout import plain
+from app.system.layout import plain, several
 
 
 @dataclass(frozen=True)
@@ -321,12 +321,42 @@ def _doubtful_loads(case: Case) -> Iterable[Verdict]:
         remedy = f"put a stage before it in which the loads grow: stages: [{stages}, ...]"
         yield note(message, f"loads.{tables[0]}.cycle_table", remedy)
     yield from _doubtful_cycles(case)
+    yield from _falling_loads(case)
     for name, motion in case.motions.items():
         columns = motion.cycle.columns if motion.cycle else {}
         largest = max((abs(a) for r in ROTATIONS for a in columns.get(r, ())), default=0.0)
         if 0.0 < largest < math.radians(0.5):
             message = "all angles are below 0.5 degrees; are they in radians?"
             yield note(message, f"motions.{name}.rotation.cycle_table")
+
+
+def _falling_loads(case: Case) -> Iterable[Verdict]:
+    """Notes on stages with cycles in which loads of a former stage fall: they act in the valleys.
+
+    Loads that have fallen to the valley of these cycles before are no fault.
+    """
+    has_table = any(load.cycle is not None for load in case.loads.values())
+    for k, stage in enumerate(case.stages[1:] if not has_table else (), 1):
+        valley_of_load: dict[str, float] = {}
+        for name, load in case.loads.items():
+            history = load.history or (1.0,) * len(case.stages)
+            before, after = abs(history[k - 1]), abs(history[k])
+            if after < before and before > stage.valley * max(map(abs, history)):
+                valley_of_load[name] = before + stage.valley * (after - before)
+        if stage.cycles > 1 and valley_of_load:
+            first, *others = valley_of_load
+            names = f"{first} and {several(len(others), 'other load')}" if others else first
+            parts = sorted({f"{100 * part:.0f}" for part in valley_of_load.values()}, key=float)
+            message = (
+                f"its valleys have {' or '.join(parts)} % of {names}, which act in the stage before"
+                " and fall in the cycles of this one. So the inducible motion is only that from one"
+                " activity to the other, and the permanent motion contains the former activity"
+            )
+            remedy = (
+                "separate activities by a stage without cycles, such as {name: rest}; there the"
+                f" history of the former loads is {stage.valley:g} or 0"
+            )
+            yield note(message, f"stages.{stage.name}", remedy)
 
 
 def _doubtful_cycles(case: Case) -> Iterable[Verdict]:

@@ -72,6 +72,33 @@ def test_preview_notes_cycles_that_end_below_their_peak(
     assert constant.startswith("loads: hip follows a cycle, but gluteus_medius_anterior")
 
 
+@pytest.mark.parametrize(
+    ("gait", "stairs", "stages", "valley_part"),
+    [
+        # Load in the valleys: 1 + 0.1 (0 - 1), or from 0.5 to 0 with a valley of 0.2.
+        ([1, 0], [0, 1], [{"cycles": 2}, {"cycles": 2}], "90 %"),
+        ([0.5, 0], [0, 1], [{}, {"cycles": 2, "valley": 0.2}], "40 %"),
+        ([1, 0.1, 0], [0, 0, 1], [{"cycles": 2}, {}, {"cycles": 2}], None),
+        ([1, 1], [0, 1], [{"cycles": 2}, {"cycles": 2}], None),
+        ([1, 0], [0, 1], [{"cycles": 2}, {}], None),
+    ],
+)
+def test_preview_notes_loads_that_fall_in_a_stage_with_cycles(
+    gait: list[float],
+    stairs: list[float],
+    stages: list[dict[str, float]],
+    valley_part: str | None,
+) -> None:
+    named = [{"name": f"part_{k}", **stage} for k, stage in enumerate(stages)]
+    changes = {"loads": {"library": {"gait": gait, "stairs_up": stairs}}, "stages": named}
+    case = mantle.load(CONFIGS / "stance.yaml", **changes).config
+    notes = [note for note in texts(case) if "valleys have" in note]
+    assert len(notes) == (valley_part is not None)
+    for text in notes:
+        assert text.startswith(f"stages.part_1: its valleys have {valley_part} of gait_hip and 4")
+        assert "separate activities by a stage without cycles" in text
+
+
 def test_preview_notes_conductance_across_open_contact() -> None:
     """One that falls is not, nor one of a bond, nor one where nothing moves."""
 
