@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -106,7 +107,7 @@ def read(
     translation[:3, 3] = [s.start for s in box]
     canal_body = LabelBody(body.solid[box], body.level[box], body.affine @ translation, ())
     canals = [
-        _canal(path, numbers[box], depth[box], canal_body, threshold + change)
+        _canal(path, numbers[box], depth[box], canal_body, threshold, change)
         for change in (-THRESHOLD_CHANGE, 0.0, THRESHOLD_CHANGE)
     ]
     surfaces = [_part_below(frame.surface(level), top_level) for level in canals]
@@ -152,7 +153,7 @@ def _cortex_doubts(path: Path, numbers: Floats, threshold: float) -> list[str]:
     if fraction >= NOTED_CORTEX_FRACTION:
         return []
     fault = (
-        f"only {100 * fraction:.0f} % of the shaft {WALL_THICKNESS:g} to"
+        f"only {math.floor(100 * fraction)} % of the shaft {WALL_THICKNESS:g} to"
         f" {WALL_THICKNESS + CORTEX_LAYER:g} mm below its surface have CT numbers above"
         f" {threshold:g}; expected at least {100 * NOTED_CORTEX_FRACTION:.0f} %"
     )
@@ -173,26 +174,39 @@ def _cortex_doubts(path: Path, numbers: Floats, threshold: float) -> list[str]:
     )
 
 
-def _no_marrow(path: Path, numbers: Floats, threshold: float) -> GeometryError:
+def _no_marrow(path: Path, numbers: Floats, threshold: float, change: float) -> GeometryError:
     """Return the error on CT numbers inside a shaft (n,) of which none is below a threshold."""
+    limit = f"{threshold:g}"
+    if numbers.min() < threshold:
+        limit = f"{threshold + change:g}, the threshold of {threshold:g} less {-change:g}"
     message = f"geometry.canal.threshold: {path.name}: no CT number inside the bone is below"
-    message += f" {threshold:g}; they are {numbers.min():.0f} to {numbers.max():.0f}."
+    message += f" {limit}; they are {numbers.min():.0f} to {numbers.max():.0f}."
+    usual_numbers = "Cortical bone has 600 HU or more, marrow -100 to 100 HU"
+    if numbers.min() < CORTEX_NUMBER <= numbers.max():
+        cause = f"The threshold is too low; use about {CORTEX_NUMBER:g}."
+        return GeometryError(f"{message} {cause} {usual_numbers}")
     if numbers.min() > ADDED_NUMBER - 2.0 * THRESHOLD_CHANGE:
         cause = f"Was {ADDED_NUMBER:g} added to all numbers? Then subtract it in the image, or add"
         return GeometryError(f"{message} {cause} it to canal.threshold")
-    return GeometryError(
-        f"{message} Is the image a CT? Cortical bone has 600 HU or more, marrow -100 to 100 HU"
-    )
+    return GeometryError(f"{message} Is the image a CT? {usual_numbers}")
 
 
 def _canal(
-    path: Path, numbers: Floats, depth: Floats, body: LabelBody, threshold: float
+    path: Path,
+    numbers: Floats,
+    depth: Floats,
+    body: LabelBody,
+    given_threshold: float,
+    change: float,
 ) -> BoneSurface:
     """Return the surface of the largest region of numbers below a threshold, in the file's axes.
+
+    The threshold is the given one with a change.
 
     Raises:
         GeometryError: No number is below the threshold.
     """
+    threshold = given_threshold + change
     is_finite = np.isfinite(numbers)
     weight = ndimage.gaussian_filter(is_finite.astype(np.float32), NOISE_FILTER / body.spacing)
     filtered_sum = ndimage.gaussian_filter(
@@ -203,7 +217,7 @@ def _canal(
     level = np.minimum((threshold - filtered) / GRADIENT, depth - WALL_THICKNESS)
     region_labels, region_count = ndimage.label(level > 0)
     if not region_count:
-        raise _no_marrow(path, filtered[is_finite], threshold)
+        raise _no_marrow(path, filtered[is_finite], given_threshold, change)
     largest = region_labels == np.bincount(region_labels.ravel())[1:].argmax() + 1
     solid = ndimage.binary_fill_holes(largest)
     level = np.where(solid, np.maximum(level, 0.01), np.minimum(level, -0.01))

@@ -80,6 +80,24 @@ def test_ct_canal_too_high_a_threshold_is_named(folder: Path, read: Reader) -> N
         read(ct, CORTEX + 200.0)
 
 
+def test_ct_canal_too_low_a_threshold_is_quoted_as_given(folder: Path, read: Reader) -> None:
+    """The CT is not blamed; the canal with a threshold that is lower by 100 is tried, too."""
+    ct = folder / "ct.nii.gz"
+    words = r"no CT number inside the bone is below -500; they are .* threshold is too low; use"
+    with pytest.raises(MantleError, match=words) as caught:
+        read(ct, -500.0)
+    assert "-600" not in str(caught.value) and "image a CT" not in str(caught.value)
+    with pytest.raises(MantleError, match=r"below 0, the threshold of 100 less 100; they are"):
+        read(changed(folder, lambda numbers: np.maximum(numbers, 50.0)), 100.0)
+
+
+def test_ct_canal_share_of_the_cortex_is_rounded_down(tmp_path: Path) -> None:
+    """748 of 1000 numbers are too few: expected are 75 %."""
+    numbers = np.repeat([700.0, 100.0], [748, 252])
+    (doubt,) = ct_canal._cortex_doubts(tmp_path / "ct.nii.gz", numbers, 600.0)
+    assert "only 74 % of the shaft" in doubt and "expected at least 75 %" in doubt
+
+
 def test_ct_canal_added_number_is_named(folder: Path, read: Reader) -> None:
     ct = changed(folder, lambda numbers: numbers + 1024.0)
     words = r"threshold: changed\.nii\.gz: no CT number .* they are 9\d\d to .* Was 1024 added"
