@@ -84,7 +84,7 @@ def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[
             f"mantle: -n {count} is ignored: mpirun has started {size or 'some'} ranks",
             file=sys.stderr,
         )
-    actions.run(
+    actions.solve(
         case,
         output,
         force=options.force,
@@ -133,6 +133,14 @@ def _check_init(options: argparse.Namespace) -> None:
         )
     if given:
         raise InputError(f"{given}: needs --labels FILE, the segmentation of the femur; add it")
+    images = {name: getattr(options, name) for name in ("labels", "ct")}
+    missing = [
+        f"--{name} {path}: no such file or folder"
+        for name, path in images.items()
+        if path and not path.exists()
+    ]
+    if missing:
+        raise InputError(missing)
 
 
 def _init(options: argparse.Namespace) -> int:

@@ -156,6 +156,18 @@ def test_init_refuses(
     )
 
 
+def test_init_names_all_missing_files_as_typed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("a.nii.gz").touch()
+    missing_ct = "--ct below/../none.nii.gz: no such file or folder\n"
+    assert main(["init", "new", "--labels", "a.nii.gz", "--ct", "below/../none.nii.gz"]) == 2
+    assert capsys.readouterr().err == missing_ct
+    assert main(["init", "new", "--labels", "b.nii.gz", "--ct", "below/../none.nii.gz"]) == 2
+    assert capsys.readouterr().err == f"--labels b.nii.gz: no such file or folder\n{missing_ct}"
+
+
 def test_init_lists_names_of_a_mesh(tmp_path: Path) -> None:
     (tmp_path / "bone.msh").write_text(MSH, encoding="utf-8")
     path = new_case.write(tmp_path / "bone", "file")
