@@ -7,7 +7,10 @@ Modules that need MPI or PETSc are imported inside `stack_needed` alone. A proce
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +22,7 @@ from app.case.case import load as load_case
 from app.foundation.errors import (
     ConvergenceError,
     InputError,
+    MantleError,
     StoppedError,
     UnusableError,
     stack_needed,
@@ -35,6 +39,17 @@ if TYPE_CHECKING:
     from app.results.reading import Results
     from app.simulation.recorder import AcceptedStep
     from meshes.distribute import TaggedMesh
+
+# Arguments of `run`, by the options of the command line with the same meaning.
+ARGUMENTS = {
+    "-o": "output",
+    "--force": "force=True",
+    "--restart auto": 'restart="auto"',
+    "--restart FILE": "restart=FILE",
+    "--restart": "restart",
+}
+# An option in a message. The one of the output begins it.
+OPTION = re.compile(r"^-o(?= )|--force\b|--restart(?: auto| FILE)?(?![\w-])")
 
 
 def load(path: str | os.PathLike[str], **overrides: object) -> LoadedCase:
@@ -161,26 +176,52 @@ def run(
     elif mesh is not None:
         raise InputError("a loaded case already has a mesh; give the case as a dict")
     folder = Path(output) if output is not None else case.output
-    if not finished_runs.prepare(case, folder, force=force, restart=restart):
-        with ranks.mpi_settings():
-            with stack_needed():
-                from app.simulation import session
-            try:
-                comm = session.run(
-                    case,
-                    folder,
-                    petsc_options,
-                    restart=restart,
-                    force=force,
-                    walltime=walltime,
-                    signals=signals,
-                    progress=progress,
-                )
-            except (ConvergenceError, StoppedError, UnusableError):
-                _report(case, folder, None)
-                raise
-            _report(case, folder, comm)
+    with _in_words_of_python():
+        solve(
+            case,
+            folder,
+            progress=progress,
+            force=force,
+            restart=restart,
+            walltime=walltime,
+            signals=signals,
+            petsc_options=petsc_options,
+        )
     return read(folder)
+
+
+def solve(
+    case: LoadedCase,
+    folder: Path,
+    *,
+    progress: Callable[[AcceptedStep], None] = lambda step: None,
+    force: bool = False,
+    restart: str = "",
+    walltime: float | None = None,
+    signals: bool = False,
+    petsc_options: Sequence[str] = (),
+) -> None:
+    """Solve a case and write its results, as `run`; errors name options of the command line."""
+    if finished_runs.prepare(case, folder, force=force, restart=restart):
+        return
+    with ranks.mpi_settings():
+        with stack_needed():
+            from app.simulation import session
+        try:
+            comm = session.run(
+                case,
+                folder,
+                petsc_options,
+                restart=restart,
+                force=force,
+                walltime=walltime,
+                signals=signals,
+                progress=progress,
+            )
+        except (ConvergenceError, StoppedError, UnusableError):
+            _report(case, folder, None)
+            raise
+        _report(case, folder, comm)
 
 
 def read(folder: str | os.PathLike[str]) -> Results:
@@ -202,6 +243,25 @@ def read(folder: str | os.PathLike[str]) -> Results:
     with stack_needed():
         from app.results.reading import Results
     return Results(path)
+
+
+@contextmanager
+def _in_words_of_python() -> Iterator[None]:
+    """Name arguments of `run` in errors that name options of the command line."""
+    try:
+        yield
+    except MantleError as error:
+        error.verdicts = [
+            replace(v, where=_arguments(v.where), what=_arguments(v.what), cure=_arguments(v.cure))
+            for v in error.verdicts
+        ]
+        error.args = (error.message(),)
+        raise
+
+
+def _arguments(text: str) -> str:
+    """Replace options in a text."""
+    return OPTION.sub(lambda option: ARGUMENTS[option[0]], text)
 
 
 def _refuse_path(case: object) -> None:

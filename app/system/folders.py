@@ -133,7 +133,7 @@ def raise_if_taken(folder: Path) -> None:
     """
     taken_names = [folder / name for name in ("case.yaml", *RESULTS) if (folder / name).is_dir()]
     if taken_names:
-        message = "is a folder, but a file of results has this name; move it, or choose another -o"
+        message = "is a folder, but a file of results has this name; move it, or choose another one"
         raise InputError([f"{path}: {message}" for path in taken_names])
 
 
