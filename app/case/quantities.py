@@ -148,16 +148,17 @@ class Quantity:
     def text(self, numbers: Numbers) -> str:
         """Format the number: ``41.3 ± 1.8`` with its error, a dash if it is missing.
 
-        Errors show one digit at least; one below two decimals more than usual is left out.
+        Errors show one digit at least; one below two decimals more than usual is left out. Numbers
+        that round to zero have no sign.
         """
         value = numbers.get(self.key)
         error = self.factor * (numbers.get(f"{self.key}_error") or 0)
         if value is None:
             return "-"
         if error < 10.0 ** -(self.digits + 2):
-            return f"{self.factor * value:.{self.digits}f}"
+            return f"{self.factor * value:z.{self.digits}f}"
         digits = max(self.digits, -math.floor(math.log10(error)))
-        number_text = f"{self.factor * value:.{digits}f} ± {error:.{digits}f}"
+        number_text = f"{self.factor * value:z.{digits}f} ± {error:.{digits}f}"
         return number_text + (NOT_RESOLVED if error > self.factor * abs(value) else "")
 
     def with_unit(self, numbers: Numbers, unit: str) -> str:

@@ -225,6 +225,12 @@ def added_section(summary: Summary, name: str) -> Numbers:
     return cast(Numbers, cast(Numbers, summary).get(name, {}))
 
 
+def name_of_implant(summary: Summary) -> str:
+    """Return ``stem``, or ``implant`` if no region or interface of a run has a stem in its name."""
+    owners = [*summary.get("regions", {}), *summary.get("interfaces", {})]
+    return "stem" if any("stem" in owner for owner in owners) else "implant"
+
+
 def merge(summary: Summary, added: Mapping[str, Any]) -> None:
     """Add sections by key, number by number."""
     _merge(cast(Numbers, summary), added)

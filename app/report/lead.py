@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from itertools import chain, zip_longest
 
 from app.case.quantities import NECROSIS, TABLE, in_print, in_words, printed
-from app.case.summary import Numbers, Summary
+from app.case.summary import Numbers, Summary, name_of_implant
 from app.report.page import LargeNumber, spelled_out
 from app.report.sweep_results import SweptCase, magnitude, named
 
@@ -162,11 +162,12 @@ def _stem(summary: Summary) -> Iterator[LargeNumber]:
     """Subsidence of the stem."""
     stem = summary.get("stem", {})
     if abs(1e3 * stem.get("subsidence", 0.0)) > NOTHING:
-        detail = "Motion of the stem against the bone along the shaft."
+        name = name_of_implant(summary)
+        detail = f"Motion of the {name} against the bone along the shaft."
         if "insertion_subsidence" in stem:
             before = _with_unit("stem", "insertion_subsidence", stem)
             detail += f" Since the insertion, which gave {before}."
-        yield _number("stem", "subsidence", stem, "subsidence of the stem", detail)
+        yield _number("stem", "subsidence", stem, f"subsidence of the {name}", detail)
 
 
 def _heat(summary: Summary) -> Iterator[LargeNumber]:

@@ -24,7 +24,7 @@ import meshes
 from app.case import quantities
 from app.case.case import load
 from app.case.quantities import TABLE, Quantity, in_print, printed
-from app.case.summary import Numbers, Summary
+from app.case.summary import Numbers, Summary, name_of_implant
 from app.foundation.errors import InputError, MantleError, StoppedError, dealt, on_root
 from app.foundation.verdict import Severity, recorded
 from app.plots import curves, figures
@@ -69,7 +69,7 @@ TITLES = {
     "thermal.regions": "Temperatures",
     "thermal.interfaces": "Heat through the interfaces",
     "cure": "Cure of the cement",
-    "stem": "Motion of the stem against the bone",
+    "stem": "Motion of the {implant} against the bone",
     "femur": "Axial strain of the cortex",
 }
 # Values for a run that was killed before it wrote its summary.
@@ -442,7 +442,8 @@ def _tables(summary: Summary, all_parts: bool, spread: InputSpread | None = None
                     rows.append(spread.cells(f"{owner}.{q.key}", q, numbers))
         rows = [row for row in rows if set(row[1:]) != {"-"}]
         head = HEAD if spread else ["", *map(named, by_owner)]
-        blocks += page.titled(titles[section], table(head, rows))
+        title = titles[section].format(implant=name_of_implant(summary))
+        blocks += page.titled(title, table(head, rows))
         if section == "thermal.regions" and not all_parts and not spread:
             blocks += page.titled("Dead bone", _necrosis(by_owner))
     return blocks

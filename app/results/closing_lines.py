@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from app.case.quantities import ADDED, NECROSIS, NOT_RESOLVED, TABLE, numbers_of
-from app.case.summary import Numbers, Summary
+from app.case.summary import Numbers, Summary, name_of_implant
 from app.foundation.verdict import Severity, recorded
 from app.results.cycles import sentences
 from app.results.verdicts import ERRORS
@@ -105,11 +105,12 @@ def headline(summary: Summary) -> Iterator[str]:
             f"{_with_unit('interfaces', 'pressure_max', q)} ({name})" for name, q in pressed
         ]
         yield f"the largest contact pressure is {', '.join(number_texts)}"
-    for row in rows.get("stem", {}).items():
-        is_pressed = "insertion_subsidence" in row[1]
-        yield _sentence("stem", *row, template_name="pressed_stem" if is_pressed else "stem")
-        if "collar_force" in row[1]:
-            yield _sentence("stem", *row, template_name=_of_collar(row[1]))
+    name_of_stem = name_of_implant(summary)
+    for q in rows.get("stem", {}).values():
+        template_name = "pressed_stem" if "insertion_subsidence" in q else "stem"
+        yield _sentence("stem", name_of_stem, q, template_name=template_name)
+        if "collar_force" in q:
+            yield _sentence("stem", name_of_stem, q, template_name=_of_collar(q))
     for name, q in rows.get("regions", {}).items():
         if CEMENT in q:
             tension = _with_unit("regions", "principal_p99", q)
@@ -176,11 +177,11 @@ SENTENCES = {
     "strength": "{name}: 1 % of the area fails at {failure_load_factor} times this load; "
     "failure index {failure_index_p99} (p99), {failure_index_max} (max)",
     "cure": "{name}: degree of cure {degree_min} to {degree_max}{reached}; largest rate {rate_max}",
-    "stem": "the stem moves against the bone: subsidence {subsidence}, "
+    "stem": "the {name} moves against the bone: subsidence {subsidence}, "
     "retroversion {retroversion}, varus {varus}",
-    "pressed_stem": "since the insertion the stem moves against the bone: subsidence {subsidence}, "
-    "retroversion {retroversion}, varus {varus}; the insertion itself: subsidence"
-    " {insertion_subsidence}",
+    "pressed_stem": "since the insertion the {name} moves against the bone: "
+    "subsidence {subsidence}, retroversion {retroversion}, varus {varus}; "
+    "the insertion itself: subsidence {insertion_subsidence}",
     "collar": "the collar presses on the bone by {collar_force} along the stem",
     "collar_and_flanks": "the collar presses on the bone by {collar_force} along the stem,"
     " {collar_share} of what collar and flanks carry",

@@ -84,3 +84,16 @@ def test_closing_lines_mark_numbers_that_are_not_resolved_with_a_star() -> None:
     summary = moved()
     del summary["interfaces"]["stem_cement"]["motion_p99_error"]
     assert closing_lines.LEGEND not in closing_lines.lines(summary)
+
+
+def test_closing_lines_name_a_stem_only_where_there_is_one() -> None:
+    """Two boxes, bone and implant by their materials; numbers that round to zero have no sign."""
+    motion = {"subsidence": -1e-6, "retroversion": -1e-5, "varus": 0.009}
+    boxes = {"interfaces": {"joint": {}}, "regions": {"lower": {}, "upper": {}}, "stem": motion}
+    (line,) = closing_lines.headline(boxes)
+    assert line == (
+        "the implant moves against the bone: subsidence 0.0 um, retroversion 0.000 deg, "
+        "varus 0.009 deg"
+    )
+    (line,) = closing_lines.headline(boxes | {"interfaces": {"stem_bone": {}}})
+    assert line.startswith("the stem moves against the bone")
