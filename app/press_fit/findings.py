@@ -30,6 +30,8 @@ MUCH_INTERFERENCE = 0.1
 RAISED = 0.003
 # Part of the collar's area above which it does not rest on the bone.
 MOSTLY_OPEN = 0.5
+# Open part of the area of a stem above which it is stated with the areas of micromotion.
+NOTED_OPEN = 0.05
 
 
 @check("geometry", "interfaces", "stages", "loads", "supports")
@@ -85,14 +87,21 @@ def _stages(case: Case) -> Iterable[Fault]:
 
 
 def _areas(name: str, motion: str, q: Numbers) -> str:
-    """Shares of the area of an interface or a zone with little and with much motion."""
+    """Shares of the area of an interface or a zone with little and much motion, and open ones."""
     below_40um, above_150um = (
         100 * q[f"area_{motion}_over_{level}um"] / q["area"] for level in (40, 150)
     )
-    return (
+    text = (
         f"{100 - below_40um:.0f} % of {name} moves less than 40 um, {above_150um:.0f} % more than"
         " 150 um"
     )
+    open_fraction = q.get("open_fraction", 0.0)
+    if open_fraction > NOTED_OPEN:
+        text += (
+            f", and {100 * open_fraction:.0f} % does not touch the bone (gap"
+            f" {1e3 * q['gap_p99']:.0f} um, p99)"
+        )
+    return text
 
 
 def _most_interference(part: InterfaceLaw | SurfaceZone) -> tuple[str, float]:

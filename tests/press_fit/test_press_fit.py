@@ -346,6 +346,24 @@ def test_press_fit_findings_say_areas_and_strains() -> None:
     assert "that of the last cycle, from valley to peak" in verdict.what
 
 
+def test_press_fit_ingrowth_states_the_area_that_does_not_touch_bone() -> None:
+    """Of the interface and of each zone, above 5 % of its area."""
+    moving = {"area": 200.0, "area_micromotion_over_40um": 22.0, "area_micromotion_over_150um": 0.0}
+    q = moving | {"open_fraction": 0.387, "gap_p99": 0.1706}
+    q["zones"] = {
+        "reamed": moving | {"open_fraction": 0.952, "gap_p99": 0.2014},
+        "coated": moving | {"open_fraction": 0.008, "gap_p99": 0.0006},
+    }
+    (verdict,) = _ingrowth({"interfaces": {"stem_bone": q}})
+    of_stem, of_reamed, of_coated, *_ = verdict.what.replace(". The motion", "; The").split("; ")
+    assert of_stem == (
+        "89 % of stem_bone moves less than 40 µm, 0 % more than 150 µm, and 39 % does not touch the"
+        " bone (gap 171 µm, p99)"
+    )
+    assert of_reamed.endswith("and 95 % does not touch the bone (gap 201 µm, p99)")
+    assert of_coated == "89 % of zone coated moves less than 40 µm, 0 % more than 150 µm"
+
+
 def test_press_fit_says_that_bone_yields_before_the_ingrowth() -> None:
     q = {"area": 200.0, "area_micromotion_over_40um": 0.0, "area_micromotion_over_150um": 0.0}
     interfaces = {"stem_bone": q | {"insertion_pressure_p95": 27.0}}
