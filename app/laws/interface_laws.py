@@ -108,7 +108,7 @@ class AtPoint:
     Attributes:
         F: Multiplier: the interface force per area (3,) [MPa].
         jump: Displacement of the slave minus that of the master (3,) [mm].
-        gap: Vector whose normal components are the initial gap of each face (3,) [mm].
+        initial_gap: Vector whose normal components are the initial gaps of the faces (3,) [mm].
         jump_old: Jump of the last converged state (3,) [mm].
         S_star: Coefficient that replaces the trial force where it is frozen (3,) [MPa].
         normals: Unit normals of one to three faces, from master to slave, each (3,), with duals.
@@ -121,7 +121,7 @@ class AtPoint:
 
     F: Expr
     jump: Expr
-    gap: Expr
+    initial_gap: Expr
     jump_old: Expr
     S_star: Coefficient
     normals: Faces
@@ -150,18 +150,19 @@ class GapState:
     """State of a point at a gap, for the methods of `Traction`, as UFL expressions.
 
     Attributes:
-        gap: Displacement of the slave minus that of the master, with the initial gap (3,) [mm].
+        gap_vector: Jump (displacement of the slave minus that of the master) plus initial gap
+            (3,) [mm].
         normals: Unit normals of the point's one to three faces, from master to slave, each (3,).
             `normals.components(v)` returns the normal components of a vector, one for each face
-            (of the gap: positive if open). `normals.span(a)` returns the vector (3,) with these
-            components. The rest, ``v - span(components(v))``, is tangential.
+            (of the gap vector: positive if open). `normals.span(a)` returns the vector (3,) with
+            these components. The rest, ``v - span(components(v))``, is tangential.
         internal_variables: Internal variables at the gap by name, as `new_internal_variables`
             returns them. In that method they are those of the last converged state.
         committed: Internal variables of the last converged state, by name.
         frozen: 1 while the internal variables are frozen, else 0.
     """
 
-    gap: Expr
+    gap_vector: Expr
     normals: Faces
     internal_variables: Mapping[str, Expr]
     committed: Mapping[str, Expr]
@@ -655,7 +656,7 @@ class Unilateral(Frictional):
         return contact_law(
             F=point.F,
             jump=point.jump,
-            gap=point.gap,
+            gap=point.initial_gap,
             jump_old=point.jump_old,
             S_star=point.S_star,
             normals=point.normals,
@@ -842,7 +843,7 @@ class Traction(InterfaceLaw):
         law = self.model_copy(update=dict(point.constants))
         jump = variable(point.jump)
         committed = GapState(
-            gap=jump + point.gap,
+            gap_vector=jump + point.initial_gap,
             normals=point.normals,
             internal_variables=point.internal_variables,
             committed=point.internal_variables,
@@ -924,7 +925,9 @@ class Cohesive(Frictional, Traction):
             unbonded=self.unbonded,
             exponential=self.softening == "exponential",
         )
-        return cohesive_state(constants, point.gap, point.normals, point.committed, point.frozen)
+        return cohesive_state(
+            constants, point.gap_vector, point.normals, point.committed, point.frozen
+        )
 
     def traction(self, point: GapState) -> Expr:
         """Cohesive traction (3,) [MPa]."""

@@ -154,7 +154,7 @@ class TrialState:
         contact, law = self.contact, self.law
         before = contact.state
         weight = contact.local.weight
-        step, opening = self.jump - contact.reference, contact.opening(self.jump)
+        step, gap_vector = self.jump - contact.reference, contact.gap_vector(self.jump)
         # Equilibrium along a prescribed jump contains the support reaction: take the law's force.
         force = contact.forces(self.equilibrium) + contact.local.prescribed_tangential(law.force)
         normal = np.einsum("pk,pki->pi", law.pressures, contact.local.normals)
@@ -170,7 +170,7 @@ class TrialState:
             np.einsum(
                 "pi,pi->p",
                 before.force - before.friction - normal,
-                opening - before.opening,
+                gap_vector - before.gap_vector,
             )
             / 2
         )
@@ -179,7 +179,7 @@ class TrialState:
             inserted=before.inserted,
             force=force,
             friction=friction,
-            opening=opening,
+            gap_vector=gap_vector,
             slip=slip,
             step_slip=slip_length,
             path=before.path + slip_length,
@@ -309,7 +309,7 @@ class ContactInterfaces:
         )
         self.committed_jump = self.state.jump
         self.set_time(0.0)
-        self.state.opening = self.opening(self.state.jump)
+        self.state.gap_vector = self.gap_vector(self.state.jump)
 
     def _jumps_by_supports(self) -> list[Floats]:
         """Jumps of local points that each support prescribes at full amplitude (n, 3) [mm]."""
@@ -396,7 +396,7 @@ class ContactInterfaces:
             else self.finite_sliding.reference(self.committed_jump)
         )
 
-    def opening(self, jump: Floats) -> Floats:
+    def gap_vector(self, jump: Floats) -> Floats:
         """Jumps (n, 3) with the initial gap; in finite sliding along the normal alone."""
         gaps = jump + self.gap
         if self.finite_sliding is not None:
@@ -550,8 +550,8 @@ class ContactInterfaces:
 
     def is_apart(self) -> bool:
         """Return True if no point touches in the committed state; collective."""
-        opening = self.opening(self.state.jump)
-        gaps = np.einsum("pi,pki->pk", opening, self.local.normals)
+        gap_vector = self.gap_vector(self.state.jump)
+        gaps = np.einsum("pi,pki->pk", gap_vector, self.local.normals)
         faces = np.arange(3) < self.local.faces[:, None]
         touches = self.state.force.any(axis=1) | ((gaps <= 0) & faces).any(axis=1)
         return not self.comm.allreduce(bool(touches.any()), MPI.LOR)

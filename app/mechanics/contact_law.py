@@ -614,7 +614,7 @@ def _compile_law(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwis
         point = AtPoint(
             F=x["force"],
             jump=x["jump"],
-            gap=x["gap"],
+            initial_gap=x["gap"],
             jump_old=x["old"],
             S_star=x["star"],
             normals=contact.Faces.of([x[f] for f in faces], [x[d] for d in duals]),

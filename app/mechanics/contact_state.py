@@ -94,7 +94,7 @@ class ContactState:
         inserted: Jump when the gap of press fits last changed (n, 3) [mm].
         force: Interface force per area, conjugate to the jump (n, 3) [MPa].
         friction: Friction part of the force (n, 3) [MPa].
-        opening: Jump plus initial gap (n, 3) [mm].
+        gap_vector: Jump plus initial gap (n, 3) [mm].
         slip: Irreversible tangential motion, 0 where open (n, 3) [mm].
         step_slip: Length of sliding in contact in the last step (n,) [mm].
         path: Length of the path of sliding in contact (n,) [mm].
@@ -110,7 +110,7 @@ class ContactState:
     inserted: Floats
     force: Floats
     friction: Floats
-    opening: Floats
+    gap_vector: Floats
     slip: Floats
     step_slip: Floats
     path: Floats
@@ -130,7 +130,7 @@ class ContactState:
             inserted=zero_vectors,
             force=zero_vectors,
             friction=zero_vectors,
-            opening=gap,
+            gap_vector=gap,
             slip=zero_vectors,
             step_slip=zero_scalars,
             path=zero_scalars,

@@ -262,7 +262,7 @@ def floating_bodies(problem: Problem, trial: TrialState) -> list[Verdict]:
     """
     contact, body_names = trial.contact, problem.bodies.names
     local, size = contact.local, contact.frame[1]
-    gaps = np.einsum("pi,pki->pk", contact.opening(trial.jump), local.normals).max(axis=1)
+    gaps = np.einsum("pi,pki->pk", contact.gap_vector(trial.jump), local.normals).max(axis=1)
     is_open = trial.law.status == OPEN
     if not any(problem.comm.allgather(bool((is_open & (gaps > GAP * size)).any()))):
         return []

@@ -33,7 +33,7 @@ class SoftLayer(Traction):
 
     def traction(self, point):
         """Return the traction at a jump (3,); all arguments are UFL expressions."""
-        return self.stiffness * point.gap
+        return self.stiffness * point.gap_vector
 
 
 h = 2.0  # height of a block [mm]

@@ -72,12 +72,13 @@ class OwnCohesion(Traction):
     """Energy in shear."""
 
     def traction(self, point):
-        return (1 - point.internal_variables["damage"]) * self.stiffness * point.gap
+        return (1 - point.internal_variables["damage"]) * self.stiffness * point.gap_vector
 
     def new_internal_variables(self, point):
-        size = dot(point.gap, point.gap)
+        size = dot(point.gap_vector, point.gap_vector)
         some = conditional(gt(size, 1e-30), size, 1e-30)
-        slid = conditional(gt(size, 1e-30), 1 - dot(point.gap, point.normals[0]) ** 2 / some, 0)
+        opening = dot(point.gap_vector, point.normals[0])
+        slid = conditional(gt(size, 1e-30), 1 - opening**2 / some, 0)
         strength = 1 / sqrt((1 - slid) / self.tensile_strength**2 + slid / self.shear_strength**2)
         energy = self.tensile_energy + (self.shear_energy - self.tensile_energy) * slid**2
         onset, end = strength / self.stiffness, 2 * energy / strength
@@ -92,7 +93,7 @@ class OwnCohesion(Traction):
         return {name: conditional(more, now[name], old) for name, old in before.items()}
 
     def stored(self, point):
-        square = dot(point.gap, point.gap)
+        square = dot(point.gap_vector, point.gap_vector)
         return (1 - point.internal_variables["damage"]) * self.stiffness * square / 2
 
     def dissipated(self, point):

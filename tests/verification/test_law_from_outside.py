@@ -28,7 +28,7 @@ class ElasticLayer(Traction):
     """Traction per displacement."""
 
     def traction(self, point):
-        return self.stiffness * point.gap
+        return self.stiffness * point.gap_vector
 '''
 
 # Two blocks of 2 mm on each other, and a shear and a pull on top.
@@ -136,10 +136,11 @@ class WornLayer(Traction):
     """Opening at which half of it is left."""
 
     def traction(self, point):
-        return self.stiffness / (1 + point.internal_variables["most"] / self.length) * point.gap
+        softer = 1 + point.internal_variables["most"] / self.length
+        return self.stiffness / softer * point.gap_vector
 
     def new_internal_variables(self, point):
-        opening = dot(point.gap, point.normals[0])
+        opening = dot(point.gap_vector, point.normals[0])
         return {"most": max_value(point.internal_variables["most"], opening)}
 
     def status(self, point):
@@ -187,7 +188,7 @@ class Glue(Frictional, Traction):
     def new_internal_variables(self, point):
         onset = self.tensile_strength / self.stiffness
         end = 2 * self.energy / self.tensile_strength
-        opening = min_value(max_value(dot(point.gap, point.normals[0]), onset), end)
+        opening = min_value(max_value(dot(point.gap_vector, point.normals[0]), onset), end)
         spent = (opening - onset) / (end - onset)
         before = point.internal_variables["spent"]
         spent = conditional(ge(spent, before - 1e-12), spent, before)
@@ -195,14 +196,14 @@ class Glue(Frictional, Traction):
         return {"damage": 1 - onset * (1 - spent) / opening, "spent": spent}
 
     def traction(self, point):
-        return (1 - point.internal_variables["damage"]) * self.stiffness * point.gap
+        return (1 - point.internal_variables["damage"]) * self.stiffness * point.gap_vector
 
     def debonded_share(self, point):
         damage = point.internal_variables["damage"]
         return conditional(gt(point.committed["damage"], 0), damage, 0)
 
     def stored(self, point):
-        square = dot(point.gap, point.gap)
+        square = dot(point.gap_vector, point.gap_vector)
         return (1 - point.internal_variables["damage"]) * self.stiffness * square / 2
 
     def dissipated(self, point):
@@ -277,7 +278,8 @@ class ContactLayer(InterfaceLaw):
     """Shear per elastic shift."""
 
     def response(self, at):
-        v, gap, old = at.constants, variable(at.jump + at.gap), at.internal_variables["slid"]
+        v, old = at.constants, at.internal_variables["slid"]
+        gap = variable(at.jump + at.initial_gap)
         across = sum(outer(n, n) for n in at.normals) / len(at.normals)
         K = v["tangential"] * Identity(3) + (v["normal"] - v["tangential"]) * across
         law = projected(K * gap, K * (gap - old), at.normals, v["coefficient"])
