@@ -284,7 +284,7 @@ class ContactSamples:
 
 
 def _numbers(s: ContactSamples, i: int, selected: set[str] | None = None) -> Numbers:
-    """Return all numbers of an interface and its parts, or the selected ones of its main part."""
+    """Return all numbers of an interface and its parts, or selected ones without rim and tip."""
     mask, surface = s.interface == i, s.surfaces[i]
     parts = {
         zone_surface: _of_part(s, i, surface, zone_surface, selected)
