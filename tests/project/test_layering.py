@@ -177,7 +177,7 @@ def test_layering_forms_import_only_ufl(path: Path) -> None:
 
 
 @all_of("meshes")
-def test_layering_meshes_do_not_import_the_application(path: Path) -> None:
+def test_layering_meshes_import_only_foundation_and_mesh_files(path: Path) -> None:
     of_app = {m for m in imported(path) if top(m) == "app"}
     assert {package_of(m) for m in of_app} <= {"foundation", "mesh_files"}
 
