@@ -113,8 +113,9 @@ class Response:
         pressures: Pressure of each face, positive in compression [MPa].
         status: OPEN, STICK or SLIP, as a number.
         internal_variables: Internal variables after a converged step, by name.
-        slip: Irreversible tangential motion, 0 where open (3,) [mm]. None for laws without slip and
-            for contact, whose slip is the tangential motion while it touches.
+        slip: Slip: tangential part of the jump at a point in contact, without the elastic part of a
+            layer; 0 where the point is open (3,) [mm]. None for laws without slip and for contact,
+            whose slip follows from the jump (`app.mechanics.contact.TrialState.slip`).
         stored: Stored energy per area [N/mm]; None if there is none.
         dissipated: Energy per area that a step dissipates [N/mm]. None for contact, where friction
             dissipates, and for laws without dissipation.

@@ -797,7 +797,7 @@ class Traction(InterfaceLaw):
         return None
 
     def slip(self, point: GapState) -> Expr | None:
-        """Irreversible tangential motion (3,) [mm]; none by default."""
+        """Slip (3,) [mm], as in `forms.contact.Response`; none by default."""
         return None
 
     def status(self, point: GapState) -> Expr:

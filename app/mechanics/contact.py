@@ -112,10 +112,12 @@ class TrialState:
         return np.asarray((self.law.pressures > 0) | is_nearly_closed)
 
     def slip(self, friction: Floats) -> Floats:
-        """Irreversible tangential motion (n, 3) [mm] under a friction (n, 3) [MPa].
+        """Slip (n, 3) [mm] under a friction (n, 3) [MPa].
 
-        In contact it is d_T of eq. 3 without its elastic part. In small sliding it follows from the
-        current jump alone; in finite sliding it is summed over the steps.
+        It is the tangential part of the jump at a point in contact (d_T of eq. 3), without the
+        elastic part of a layer; 0 where the point is open. In small sliding it follows from the
+        current jump and friction. In finite sliding it is summed over the steps, and kept where the
+        point opens.
         """
         contact = self.contact
         sliding_motion = self.sliding(self.jump - self._layer_stretch(friction))

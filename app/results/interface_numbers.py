@@ -152,7 +152,8 @@ class ContactSamples:
         of_points: Interface of each contact point (p,).
         gap: Opening of each face (n, 3) [mm]; 0 for faces that a point does not have.
         opening: Opening of the point, the largest of its faces (n,) [mm].
-        slip: Irreversible tangential motion; 0 if the point is open (n, 3) [mm].
+        slip: Slip: tangential part of the jump at a point in contact, without the elastic part of a
+            layer; 0 where the point is open (n, 3) [mm]. Finite sliding: sum over the steps.
         path: Length of the path of sliding in contact (n,) [mm].
         motion: Displacement of the second side relative to the first, as declared (n, 3) [mm].
         micromotion: Motion since the insertion, if there is a press fit (n, 3) [mm].
