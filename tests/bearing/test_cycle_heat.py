@@ -40,9 +40,16 @@ def area(boundary: str) -> float:
 
 
 def assert_lumped(result: Results, h: float, head: float, liner: float = 0.0) -> None:
-    """Two bodies that conduct perfectly, between them h [mW/K], heated by so much [mW]."""
-    G, S = NECK * area("head_bore"), SHELL * area("liner_outer")
-    above = np.linalg.solve([[G + h, -h], [-h, S + h]], [head, liner])
+    """Compare temperatures and heat flow with two bodies of infinite conductivity.
+
+    Args:
+        result: The run.
+        h: Conductance between the bodies [mW/K].
+        head: Heat into the head [mW].
+        liner: Heat into the liner [mW].
+    """
+    at_neck, at_shell = NECK * area("head_bore"), SHELL * area("liner_outer")
+    above = np.linalg.solve([[at_neck + h, -h], [-h, at_shell + h]], [head, liner])
     thermal = result.summary["thermal"]
     means = [thermal["regions"][name]["temperature_mean"] for name in ("head", "liner")]
     assert means == pytest.approx(OUTSIDE + above, rel=1e-5)
@@ -53,34 +60,45 @@ def assert_lumped(result: Results, h: float, head: float, liner: float = 0.0) ->
 def test_cycle_heat_of_friction_warms_two_lumped_bodies(
     changes: tuple[str, ...], tmp_path: Path
 ) -> None:
-    """The heat of a cycle in its time of 1 s; between the bodies h times the cup's area."""
-    few = STEADY, "motions.ball.largest_step=20 deg", f"interfaces.bearing.friction_heating={SHARE}"
-    result = support.run(CASE, tmp_path, *heated((1e6, 1e6), "50 W/(m^2 K)", *changes, *few))
+    """The heating power is the heat of a cycle over its duration of 1 s.
+
+    The conductance between the bodies is that of the interface times the area of the cup.
+    """
+    coarse_steps = (
+        STEADY,
+        "motions.ball.largest_step=20 deg",
+        f"interfaces.bearing.friction_heating={SHARE}",
+    )
+    heat = heated((1e6, 1e6), "50 W/(m^2 K)", *changes, *coarse_steps)
+    result = support.run(CASE, tmp_path, *heat)
     power = result.summary["interfaces"]["bearing"]["dissipation_cycle"]
     assert result.summary["thermal"]["flows"]["into"]["friction bearing"] == pytest.approx(power)
     assert_lumped(result, 0.05 * area("liner_inner"), SHARE * power, (1 - SHARE) * power)
 
 
 def test_cycle_heat_conductance_without_a_time_course(tmp_path: Path) -> None:
-    """Conductance per pressure times the sum of the pressures on the cup."""
-    still = "motions.ball={region: head, about: [0 mm, 0 mm, 0 mm]}"
+    """The conductance between the bodies is that per pressure times the total force on the cup."""
+    no_rotation = "motions.ball={region: head, about: [0 mm, 0 mm, 0 mm]}"
     stages = "stages=[{name: press}, {name: warm, steady: true}]"
-    warm = "heat.source={kind: source, regions: [head], density: 1e5 W/m^3}"
-    rub = "interfaces.bearing={kind: contact, friction_coefficient: 0, sliding: finite}"
-    changes = heated((1e6, 1e6), PRESSED, rub, still, stages)
-    result = support.run(CASE, tmp_path, *changes, warm)
+    heat_source = "heat.source={kind: source, regions: [head], density: 1e5 W/m^3}"
+    frictionless = "interfaces.bearing={kind: contact, friction_coefficient: 0, sliding: finite}"
+    changes = heated((1e6, 1e6), PRESSED, frictionless, no_rotation, stages)
+    result = support.run(CASE, tmp_path, *changes, heat_source)
     run = Run(result.folder)
     liner = areas(run, "liner")
     volume = float(run.volumes()[run.region == run.regions["head"]].sum())
-    pressed = float(liner @ run.on_points("bearing_pressure"))
-    assert pressed > LOAD
-    assert_lumped(result, 1e-2 * pressed, 0.1 * volume)
+    total_pressure = float(liner @ run.on_points("bearing_pressure"))  # [N]
+    assert total_pressure > LOAD
+    assert_lumped(result, 1e-2 * total_pressure, 0.1 * volume)
 
 
 def test_cycle_heat_of_a_spinning_ball_is_symmetric(tmp_path: Path) -> None:
-    """It is pressed beside the axis of its turns: the cup is warm there, the ball in a ring."""
+    """The ball is pressed at 45 degrees to the axis of its rotation.
+
+    The cup is warm where it is pressed. The ball is equally warm along a ring about the axis.
+    """
     cycle_table = '["time [s], rotation z [deg]", "0, 0", "1, 120", "2, 240", "3, 360"]'
-    few = (
+    changes = (
         f"motions.ball.rotation={{axes: zyx, cycle_table: {cycle_table}}}",
         "motions.ball.largest_step=10 deg",
         "loads.hip.force=[1400 N, 0 N, 1400 N]",
@@ -88,16 +106,19 @@ def test_cycle_heat_of_a_spinning_ball_is_symmetric(tmp_path: Path) -> None:
         f"interfaces.bearing.friction_heating={SHARE}",
         "mesh.size=3 mm",
     )
-    result = support.run(CASE, tmp_path, *heated((0.2, 0.2), PRESSED, *few))
+    result = support.run(CASE, tmp_path, *heated((0.2, 0.2), PRESSED, *changes))
     run = Run(result.folder)
-    T, first = run.on_points("temperature"), []
+    temperature = run.on_points("temperature")
+    first_harmonics = []  # amplitudes about the axis, of the ball and of the cup
     for region, radius in (("head", RADIUS), ("liner", RADIUS + 0.1)):
         nodes = run.nodes_of(run.regions[region])
-        v = run.points[nodes]
-        x, y, z = v.T
-        polar, round_z = np.degrees(np.arctan2(np.hypot(x, y), z)), np.arctan2(y, x)
-        ring = (np.abs(np.linalg.norm(v, axis=1) - radius) < 1e-3) & (np.abs(polar - 45) < 20)
-        parts = [polar**k for k in range(5)] + [np.cos(round_z), np.sin(round_z)]
-        fit = np.linalg.lstsq(np.stack(parts, 1)[ring], T[nodes[ring]])[0]
-        first.append(float(np.hypot(*fit[-2:])))
-    assert first[0] < 0.01 * first[1]
+        points = run.points[nodes]
+        x, y, z = points.T
+        polar, azimuth = np.degrees(np.arctan2(np.hypot(x, y), z)), np.arctan2(y, x)
+        on_surface = np.abs(np.linalg.norm(points, axis=1) - radius) < 1e-3
+        ring = on_surface & (np.abs(polar - 45) < 20)
+        terms = [polar**k for k in range(5)] + [np.cos(azimuth), np.sin(azimuth)]
+        fit = np.linalg.lstsq(np.stack(terms, 1)[ring], temperature[nodes[ring]])[0]
+        first_harmonics.append(float(np.hypot(*fit[-2:])))
+    of_ball, of_cup = first_harmonics
+    assert of_ball < 0.01 * of_cup

@@ -21,7 +21,7 @@ TWIST = (
 
 
 def moved(*overrides: str) -> float:
-    """Run the first stage; the largest jump [mm]."""
+    """Run the first stage and return the largest jump [mm]."""
     analysis = support.analysis(support.case(STEM, *overrides))
     sizes: list[float] = []
 
@@ -39,14 +39,14 @@ def moved(*overrides: str) -> float:
     [((TWIST,), "rotate about z"), (("geometry.taper=0 deg",), "move along z")],
 )
 def test_facets_frictionless_stem_is_free(overrides: tuple[str, ...], mode: str) -> None:
-    """To turn in its taper, to fall out of a straight hole."""
+    """A smooth stem can rotate in its taper (case 1) or slide out of a cylinder (case 2)."""
     with pytest.raises(ConvergenceError) as caught:
         moved(*SMOOTH, *overrides)
     assert re.search(rf"nothing holds body 'stem': .* free to {mode}", str(caught.value))
 
 
 def test_facets_bodies_held_by_curved_facets_alone_are_named() -> None:
-    """They resist the turn of a smooth stem, and say nothing."""
+    """Only curved facets resist the rotation of a smooth stem, and the error says so."""
     with pytest.raises(ConvergenceError) as caught:
         moved(*SMOOTH, TWIST, "mesh.order=2")
     message = str(caught.value)
@@ -57,13 +57,16 @@ def test_facets_bodies_held_by_curved_facets_alone_are_named() -> None:
 
 @pytest.mark.parametrize("overrides", [SMOOTH, (TWIST,), (*SMOOTH, "mesh.size=5 mm")])
 def test_facets_bodies_held_by_surfaces_are_held(overrides: tuple[str, ...]) -> None:
-    """A smooth taper holds what pushes it in; friction holds the turn."""
+    """A smooth taper holds a stem that is pressed into it; friction holds a stem under a torque."""
     assert moved(*overrides) > 0
 
 
 @pytest.mark.parametrize("friction", [0, 0.3, 1])
-def test_facets_frictionless_taper_pushed_aside_is_free(friction: float) -> None:
-    """Friction of the cement in the bone does not hold the stem in the cement."""
+def test_facets_frictionless_stem_is_free_for_any_friction_in_bone(friction: float) -> None:
+    """A stem without friction, pushed aside, leaves its cement. Friction in bone does not hold it.
+
+    The friction is that of the cement in the bone.
+    """
     changes = (
         SMOOTH[0],
         f"interfaces.cement_bone.friction_coefficient={friction}",
