@@ -255,8 +255,8 @@ def _mesh(case: CaseParts) -> Iterable[Fault]:
             yield Fault(("mesh", "size"), message)
         for key in ("around", "along", "through_cement"):
             if getattr(case.mesh, key) and not case.geometry.grid(case.mesh):
-                message = f"geometry.kind: {case.geometry.kind} is not meshed by lines and layers"
-                yield Fault(("mesh", key), f"{message}; leave {key} out")
+                message = "applies only to hips, which are meshed by lines and layers; leave it out"
+                yield Fault(("mesh", key), f"{message} for geometry.kind: {case.geometry.kind}")
         if case.mesh.through_cement and "cement" in case.geometry.left_out.get("regions", ()):
             yield Fault(("mesh", "through_cement"), "there is no cement; leave through_cement out")
         yield from _lines(case.geometry, case.mesh)
@@ -346,7 +346,8 @@ def _accuracy(case: CaseParts) -> Iterable[Fault]:
     touches = any(law and law.can_part for law in case.interfaces.values())
     if case.output and case.output.accuracy and (has_fixed_mesh or not touches):
         message = (
-            "mesh size cannot be chosen: an accuracy needs contact, no variations, no mesh file"
+            "needs contact and a mesh that mantle makes; it cannot be used with variations or a "
+            "mesh file"
         )
         yield Fault(("output", "accuracy"), message)
 
@@ -389,7 +390,7 @@ def _held(case: CaseParts) -> Iterable[Fault]:
         if free_axes:
             along_axes = "" if len(free_axes) == 3 else f" along {' and '.join(free_axes)}"
             message = f"no support holds the model{along_axes}{when}"
-            cure = "expected a support: fixed, roller, displacement or foundation"
+            cure = "add a support: fixed, roller, displacement or foundation"
             yield Fault(("supports",), message, cure=cure, code=Reason.LOOSE_BODY)
 
 
@@ -489,15 +490,16 @@ def _sliding(case: CaseParts) -> Iterable[Fault]:
     stages = case.stages or ()
     if is_cyclic and stages and all(stage.takes_time for stage in stages):
         key_of_end = "steady" if stages[-1].steady else "duration"
-        message = "cycle tables need a stage without duration; add one before this stage, which "
-        message += "has the mean heat of a cycle"
+        message = "cycle tables act in the last stage without duration, and there is none; add one "
+        message += "before this stage, which has the mean heat of a cycle"
         yield Fault(("stages", len(stages) - 1, key_of_end), message)
     last_loading = max((i for i, s in enumerate(stages) if not s.takes_time), default=0)
     reasons = NO_CYCLE_TABLE | {kind.key: kind.no_cycle_table for kind in STAGE_KINDS}
     for key, reason in reasons.items() if is_cyclic and stages else ():
         if getattr(stages[last_loading], key):
-            message = f"{reason}, but cycle tables act in this stage, the last one without duration"
-            yield Fault(("stages", last_loading, key), f"{message}; use an earlier stage")
+            message = f"{reason}, but cycle tables act in the last stage without duration, which is"
+            message += f" this one; give `{key}` to an earlier stage"
+            yield Fault(("stages", last_loading, key), message)
 
 
 def quantities(case: CaseParts, names: Mapping[Path, str]) -> Iterable[Fault]:
@@ -565,16 +567,15 @@ def _conductors(case: CaseParts, regions: Mapping[str, Material]) -> Iterable[Fa
         return
     for section in ("supports", "loads"):
         for name in getattr(case, section) or {}:
-            yield Fault(
-                (section, name), "every region is a conductor, which cannot move; leave it out"
-            )
+            message = "every region is a conductor, which has no displacement; leave it out"
+            yield Fault((section, name), message)
     for name, probe in _valid(case.output.probes if case.output else None):
         if isinstance(probe, StrainGauge):
-            message = "every region is a conductor, which is not strained; expected kind: point"
+            message = "every region is a conductor, which has no strain; use `kind: point`"
             yield Fault(("output", "probes", name), message)
     for name, law in case.interfaces.items():
         if law is not None and law.can_part:
-            message = "every region is a conductor, which cannot separate; expected kind: bonded"
+            message = "every region is a conductor, which has no displacement; use `kind: bonded`"
             yield Fault(("interfaces", name), message)
 
 

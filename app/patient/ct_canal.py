@@ -169,8 +169,9 @@ def _cortex_doubts(path: Path, numbers: Floats, threshold: float) -> list[str]:
             f"geometry.canal.threshold: is too high for {path.name}: {fault}. {usual_text}"
         )
     raise InputError(
-        f"{path}: {fault}. Is the CT mirrored or moved against the labels, that of another patient,"
-        " or no CT? Use the CT from which the labels were made"
+        f"{path}: {fault}. The CT and the labels do not match: the CT may be mirrored or moved, or"
+        " that of another patient, or the image is not a CT. Use the CT from which the labels were"
+        " made"
     )
 
 

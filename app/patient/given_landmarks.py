@@ -93,8 +93,9 @@ class GivenLandmarks:
         angle = math.degrees(math.acos(max(-1.0, min(1.0, float(axis @ up)))))
         if angle > MOST_TURNED:
             raise GeometryError(
-                f"geometry.landmarks.shaft: its line is turned by {angle:.0f} deg against the bone;"
-                f" expected at most {MOST_TURNED:g} deg. The distal point is the first"
+                f"geometry.landmarks.shaft: the given axis deviates by {angle:.0f} deg from the"
+                f" bone's long axis; expected at most {MOST_TURNED:g} deg. Give the distal point"
+                " first"
             )
 
         def at_trochanter(point: Floats, direction: Floats) -> Floats:

@@ -22,6 +22,7 @@ from app.foundation.arrays import Bools, Floats
 from app.foundation.errors import InputError
 from app.foundation.files import parts
 from app.patient import dicom_segmentation, dicom_series, nrrd
+from app.patient.foreign_formats import WRAPPED, ForeignFormats, foreign_format, vtk_formats
 from app.patient.voxels import LabelSegment, Voxels
 
 HALF_VOXEL = 0.5 + 1e-6  # edges from the middle of a voxel to its end
@@ -35,19 +36,19 @@ TEMPLATES = (3, 4)  # spaces to which images of patients are scaled
 PADDING = -1500.0  # CT number: lower ones are written where nothing was measured
 GZIP = b"\x1f\x8b"
 NIFTI2_SIZE = 540  # first number of NIfTI of version 2
-# Files of other kinds by their first bytes, and what to do with them.
-OTHER_FORMATS = {
-    b"ObjectType": "is a MetaImage (.mha, .mhd): save it as NIfTI or NRRD, as 3D Slicer does",
-    b"# vtk": "is a file of VTK: save it as NIfTI or NRRD, as 3D Slicer does",
-    b"<?xml": "is XML, as VTK writes it: save it as NIfTI or NRRD, as 3D Slicer does",
-    b"<VTKFile": "is XML of VTK: save it as NIfTI or NRRD, as 3D Slicer does",
-    b"II*\0": "is a TIFF picture without places of its voxels: save it as NIfTI or NRRD",
-    b"MM\0*": "is a TIFF picture without places of its voxels: save it as NIfTI or NRRD",
-    b"\x89PNG": "is a PNG picture without places of its voxels: save it as NIfTI or NRRD",
-    b"PK\x03\x04": "is a ZIP archive: unpack it",
-    b"solid": "is an STL surface: give it as `surface`",
-    b"ply": "is a PLY surface: give it as `surface`",
-    b"version https://git-lfs": "is a pointer of Git LFS, not the file: `git lfs pull` brings it",
+SAVE = "save it as NIfTI or NRRD, as 3D Slicer does"
+EXPORT = "export the scan as NIfTI, NRRD or DICOM"
+GIVE = "give it as `surface`"
+# Files of other formats, with their remedies.
+OTHER_FORMATS: ForeignFormats = {
+    **WRAPPED,
+    **vtk_formats(SAVE),
+    b"ObjectType": ("is a MetaImage (.mha, .mhd)", SAVE),
+    b"II*\0": ("is a TIFF picture without voxel positions", EXPORT),
+    b"MM\0*": ("is a TIFF picture without voxel positions", EXPORT),
+    b"\x89PNG": ("is a PNG picture without voxel positions", EXPORT),
+    b"solid": ("is an STL surface", GIVE),
+    b"ply": ("is a PLY surface", GIVE),
 }
 
 
@@ -245,9 +246,9 @@ def _reader(path: Path) -> Callable[[Path], Voxels]:
         return nrrd.read
     if dicom_series.is_dicom(first_bytes):
         return _dicom
-    for known_bytes, format_name in OTHER_FORMATS.items():
-        if first_bytes.startswith(known_bytes):
-            raise InputError(f"{path}: {format_name}; expected NIfTI, NRRD, DICOM or .npz")
+    foreign = foreign_format(first_bytes, OTHER_FORMATS, "NIfTI, NRRD, DICOM or .npz")
+    if foreign:
+        raise InputError(f"{path}: {foreign}")
     return _nifti
 
 

@@ -19,24 +19,22 @@ from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
 from app.patient import obj, ply, stl
 from app.patient.file_text import decoded, is_text
+from app.patient.foreign_formats import WRAPPED, ForeignFormats, foreign_format, vtk_formats
 
 SUFFIXES = (".stl", ".ply", ".obj")
-# Files of other formats, by their first bytes.
-OTHER_FORMATS = {
-    b"version https://git-lfs": "is a pointer of Git LFS, not the file: `git lfs pull` brings it",
-    b"PK\x03\x04": "is a ZIP archive: unpack it",
-    b"\x1f\x8b": "is compressed by gzip: unpack it",
-    b"7z\xbc\xaf": "is a 7z archive: unpack it",
-    b"<!DOCTYPE": "is a page of HTML, not the file",
-    b"<html": "is a page of HTML, not the file",
-    b"<?xml": "is XML, as VTK and 3MF write it",
-    b"<VTKFile": "is XML of VTK",
-    b"# vtk": "is a file of VTK",
-    b"OFF": "is an OFF file",
-    b"COFF": "is an OFF file",
-    b"\x89HDF": "is an HDF5 file",
-    b"ISO-10303": "is a STEP file",
-    bytes(128) + b"DICM": "is an image of DICOM: give it as `image`, with a `label`",
+# Files of other formats, with their remedies.
+OTHER_FORMATS: ForeignFormats = {
+    **WRAPPED,
+    **vtk_formats(),
+    b"\x1f\x8b": ("is compressed by gzip", "unpack it"),
+    b"7z\xbc\xaf": ("is a 7z archive", "unpack it"),
+    b"<!DOCTYPE": ("is a page of HTML, not the file", ""),
+    b"<html": ("is a page of HTML, not the file", ""),
+    b"OFF": ("is an OFF file", ""),
+    b"COFF": ("is an OFF file", ""),
+    b"\x89HDF": ("is an HDF5 file", ""),
+    b"ISO-10303": ("is a STEP file", ""),
+    bytes(128) + b"DICM": ("is an image of DICOM", "give it as `image`, with a `label`"),
 }
 
 
@@ -57,10 +55,10 @@ def read(path: Path) -> tuple[Floats, list[str]]:
     if not first_bytes:
         raise GeometryError(f"{path}: is empty")
     size = path.stat().st_size
+    foreign = foreign_format(first_bytes, OTHER_FORMATS, f"one of {expected_suffixes}")
     # The header of a binary STL may begin with any words.
-    for known_bytes, format_name in OTHER_FORMATS.items() if size != stl.size(first_bytes) else ():
-        if first_bytes[: len(known_bytes)].lower() == known_bytes.lower():
-            raise GeometryError(f"{path}: {format_name}; expected one of {expected_suffixes}")
+    if foreign and size != stl.size(first_bytes):
+        raise GeometryError(f"{path}: {foreign}")
     file_suffix = _format_of(first_bytes, size)
     if file_suffix and file_suffix != suffix:
         suffix_words = {".stl": "an STL", ".obj": "an OBJ", ".ply": "a PLY"}[file_suffix]

@@ -168,16 +168,18 @@ def _ingrowth(summary: Summary) -> Iterable[Verdict]:
         has_micromotion = bool(q.get("area")) and "area_micromotion_over_40um" in q
         if name == ON_CUT or has_grown_in or not has_micromotion:
             continue
-        motion, counted = "micromotion", "one load, with the part that remains without it"
+        motion = "micromotion"
+        motion_text = "The motion includes the permanent part, because the case has no cycles."
         if "area_inducible_over_40um" in q:
-            motion, counted = "inducible", "the last cycle, from valley to peak"
+            motion = "inducible"
+            motion_text = "The motion is inducible, from the last valley to the last peak."
         interface_and_zones = {name: q} | {
             f"zone {zone}": part for zone, part in q.get("zones", {}).items()
         }
         shares = (_areas(owner, motion, part) for owner, part in interface_and_zones.items())
         doubt = " This holds for elastic bone, but the insertion strains bone beyond its yield."
         message = (
-            f"{'; '.join(shares)}. The motion is that of {counted}."
+            f"{'; '.join(shares)}. {motion_text}"
             f"{doubt if _yielding(summary) else ''} In dogs bone"
             " grew in at oscillations of 20 um,"
             " partly at 40 um, not at 150 um (Jasty 1997)."

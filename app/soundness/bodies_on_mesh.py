@@ -130,7 +130,7 @@ class BodiesOnMesh:
             free_motions, _ = self._free_motions(
                 left_by_supports, contact_resistance, bonded_resistance, FREE
             )
-            cure = "expected a support, or contact with a body that is held"
+            cure = "add a support, or contact with a body that is held"
             for motion_text in self._motion_texts(free_motions):
                 verdict_text = f"{motion_text}{self._when(k)}, by a support or by another body"
                 errors.append(Verdict(verdict_text, "supports", cure, code=Reason.LOOSE_BODY))
@@ -150,7 +150,8 @@ class BodiesOnMesh:
                     f" and resists only because the surface slopes by {steepest:.2g} degrees on "
                     "average, which may come from the facets of the mesh"
                 )
-            cure = "the displacement may be arbitrary; add friction or a support"
+            reason += ". The displacement may be arbitrary"
+            cure = "add friction or a support"
             for motion_text in self._motion_texts(free_motions, "friction hardly holds"):
                 notes.append(note(f"{motion_text}{self._when(k)}: {reason}", cure=cure))
             gaps_in_time = {

@@ -271,7 +271,7 @@ def floating_bodies(problem: Problem, trial: TrialState) -> list[Verdict]:
     motions = contact.loose_motions(np.where(is_unpressed, OPEN, trial.law.status))
     centres = np.tile(contact.frame[0], (len(body_names), 1))
     motion_texts = describe(motions, [f"'{name}'" for name in body_names], centres, *contact.frame)
-    place = "in the last state, so that its place within the gaps is arbitrary"
+    place = "in the last state. Its position within the gaps is arbitrary"
     return [
         Verdict(f"{motion_text} {place}", CONTACT, HOLD, Severity.WARNING)
         for motion_text in motion_texts

@@ -47,8 +47,8 @@ def _contradiction(case: Case, path: AnyPath) -> str:
     geometry, interface = case.geometry, path.interface_name
     if isinstance(path, SidePath) and not (is_hip(geometry) or geometry.is_around_z):
         return (
-            f"geometry.kind: {geometry.kind} has no axis of a stem; expected kind: section at a "
-            "height, or kind: line between two points"
+            f"geometry.kind: {geometry.kind} has no axis of a stem; use `kind: section` at a "
+            "height, or `kind: line` between two points"
         )
     region = path.region
     if interface and region:
@@ -69,7 +69,7 @@ def _outside(case: Case, data: MeshData, path: AnyPath, key: str) -> Verdict:
         x = _nodes(case, data, path)
         lowest, highest = x[:, 2].min(), x[:, 2].max()
         if isinstance(path, SidePath):
-            return Verdict(f"{place_of_path} has no {path.side} side", key, "expected another side")
+            return Verdict(f"{place_of_path} has no {path.side} side", key, "choose another side")
         message = f"there is no {place_of_path} at the height {path.height:g} mm"
         return Verdict(message, key, f"expected a height from {lowest:.4g} to {highest:.4g} mm")
     region_text = f"region '{region}'" if region else "every body"

@@ -71,13 +71,12 @@ def describe(case: Case, given: Mapping[str, Mapping[str, object]]) -> str:
         lines += ["supports", *_table(case.supports)]
         lines += ["motions"] if case.motions else []
         for n, m in case.motions.items():
-            rotation_text = f"turns about {plain(m.about)} mm by "
-            rotation_text += (
-                f"{m.rotation.axes}: {m.rotation.cycle_table.description}"
-                if m.rotation
-                else "nothing"
-            )
-            lines.append(f"  {n}: {m.region} {rotation_text}; translation {m.translation}")
+            rotation_text = f"no rotation about {plain(m.about)} mm"
+            if m.rotation:
+                table_text = m.rotation.cycle_table.description
+                rotation_text = f"rotates about {plain(m.about)} mm by {m.rotation.axes}: "
+                rotation_text += table_text
+            lines.append(f"  {n}: {m.region}, {rotation_text}; translation {m.translation}")
         lines += [
             "loads",
             *_table(case.loads),
@@ -106,10 +105,10 @@ def describe(case: Case, given: Mapping[str, Mapping[str, object]]) -> str:
 
 def _stage(stage: Stage) -> str:
     seconds = stage.extension_kind.seconds(stage) if stage.extension_kind else stage.seconds
-    time = f"{seconds:g} s, " if seconds else "until nothing changes, " * stage.steady
+    time = f"{seconds:g} s, " if seconds else "steady state, " * stage.steady
     steps = f"{stage.increments} increment{'s' if stage.increments > 1 else ''}"
-    unit = "cycle" if stage.load_segments == stage.cycles else "way"
-    steps += f" for each {unit}, {stage.cycles} cycles" if stage.cycles > 1 else ""
+    unit = "cycle" if stage.load_segments == stage.cycles else "half cycle"
+    steps += f" per {unit}, {stage.cycles} cycles" if stage.cycles > 1 else ""
     return f"  {stage.name}: {time}{steps}{', adaptive' if stage.adaptive else ''}"
 
 

@@ -156,8 +156,8 @@ def _contradictory_supports_of(
                 yield Verdict(message, key, "remove one of the two")
             else:
                 message += (
-                    f": '{second_support}' is used there, and stresses grow without limit as the "
-                    "mesh is refined"
+                    f". mantle uses '{second_support}' at these nodes. The stress there is "
+                    "singular: it grows as the mesh is refined"
                 )
                 yield note(message, key)
 
@@ -177,8 +177,8 @@ def _rotations_not_given(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
             slides_finitely = law.finite_sliding and region not in regions_without_free_rotation
             if slides_finitely and case.regions[region].moves_rigidly:
                 message = f"the rotation of the rigid {region} is not given"
-                suggestion = f"motions: {{NAME: {{region: {region}, about: [0 mm, 0 mm, 0 mm]}}}}"
-                cure = f"expected {suggestion}, or a fixed support"
+                suggestion = f"`motions: {{NAME: {{region: {region}, about: [0 mm, 0 mm, 0 mm]}}}}`"
+                cure = f"add {suggestion}, or a fixed support"
                 yield Verdict(message, f"interfaces.{name}", cure)
 
 
@@ -201,7 +201,7 @@ def _motions_with_supports_or_loads(case: Case, parts: MeshPieces) -> Iterator[V
         )
         if supports_of_body and motion.cycle:
             message = f"{motion.region} rotates, but supports hold it ({supports_of_body})"
-            cure = "expected `translation: held` instead"
+            cure = "use `translation: held` instead of the supports"
             yield Verdict(message, f"motions.{name}.region", cure)
         if loads and motion.translation == "held":
             message = f"{motion.region} does not move under {loads}: its motion is prescribed"
@@ -224,7 +224,7 @@ def _fibre_axes_in_cells(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
                     f"its axis meets the region, e.g. at {point_text(middle)}, where fibres have "
                     "no direction"
                 )
-                cure = "expected an axis outside the region"
+                cure = "use an axis outside the region"
                 yield Verdict(message, f"{key}.fibre", cure)
 
 
@@ -238,12 +238,12 @@ def _sides_that_do_not_fit(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
                 f"{first_side} and {second_side} share {shared_facets} facets, so slip is limited"
                 " to one facet"
             )
-            cure = "expected bodies meshed apart, or `sliding: small`"
+            cure = "mesh the bodies separately, or use `sliding: small`"
             yield Verdict(message, f"interfaces.{name}.sliding", cure)
         elif not shared_facets and name not in parts.faces:
             cure = (
-                "expected kind: contact with `sliding: finite` and two boundaries in `between`, if "
-                "the bodies are meshed separately"
+                "if the bodies are meshed separately, use `kind: contact` with `sliding: finite` "
+                "and two boundaries in `between`"
             )
             message = f"no facet between {first_side} and {second_side}"
             yield Verdict(message, f"interfaces.{name}", cure)
@@ -251,7 +251,7 @@ def _sides_that_do_not_fit(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
             face_regions = sorted({parts.pieces[p].region for p in parts.boundaries.get(face, {})})
             if not face_regions or not {*face_regions} <= {*side}:
                 message = f"{face} is a surface of {' and '.join(face_regions) or 'no region'}"
-                cure = f"expected one of {'/'.join(side)} alone"
+                cure = f"choose a boundary of {'/'.join(side)} only"
                 yield Verdict(message, f"interfaces.{name}.between", cure)
 
 
@@ -273,7 +273,7 @@ def _misplaced_gauge(data: MeshData, key: str, gauge: StrainGauge) -> list[Verdi
     """Error on a strain gauge that does not fit its surface."""
     x = data.points[boundary_facets(data, gauge.boundary)]
     if not len(x):
-        return [Verdict("has no facet on this mesh", f"{key}.boundary", "expected another surface")]
+        return [Verdict("has no facet on this mesh", f"{key}.boundary", "choose another one")]
     try:
         gauge_position = gauge_points(x, gauge.at, gauge.towards, gauge.direction, gauge.diameter)
     except GaugeFault as fault:
@@ -308,10 +308,11 @@ def _followers_moved_twice(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
             shared_nodes = np.intersect1d(nodes_by_owner[name], interface_nodes)
             if contact.between and key != name and len(shared_nodes):
                 message = (
-                    f"moves {len(shared_nodes)} nodes of {contact.between[1]}, e.g. at "
-                    f"{point_text(parts.x[shared_nodes[0]])}, which follow the master of {name}"
+                    f"{len(shared_nodes)} nodes of {contact.between[1]}, e.g. at "
+                    f"{point_text(parts.x[shared_nodes[0]])}, are constrained twice: here and by "
+                    f"the finite sliding of {name}"
                 )
-                yield Verdict(message, key, "expected a boundary without them")
+                yield Verdict(message, key, "choose a boundary without these nodes")
 
 
 def _meets_axis(x: Floats, axis: Floats, point_on_axis: Floats) -> NDArray[np.bool_]:

@@ -60,10 +60,10 @@ def test_given_landmarks_shaft_in_other_axes_is_refused_with_hint() -> None:
     [
         ({"lesser_trochanter": (-500, 700, 2)}, "lesser_trochanter: .* 83. mm from .* most 10 mm"),
         ({"head_centre": (25, 11, 54)}, "head_centre: .* is 6 mm below .* at least 7 mm"),
-        ({"shaft": ((0, 0, 0), (50, 0, -20))}, "shaft: its line is turned by 107 deg"),
+        ({"shaft": ((0, 0, 0), (50, 0, -20))}, "shaft: the given axis deviates by 107 deg"),
         (
             {"shaft": ((0, 0, -20), (0, 0, -90))},
-            "shaft: .* by 175 deg.* The distal point is the first",
+            "shaft: .* by 175 deg.* Give the distal point first",
         ),
         ({"shaft": ((0, 0, -20), (0, 0, -20))}, "shaft: its points are equal"),
         ({"shaft": ((60, 0, -60), (60, 0, -20))}, "shaft: .* at a distance of .* two points"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import re
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -146,9 +147,15 @@ def test_images_axes_of_one_entry_do_not_matter(axes: int, tmp_path: Path) -> No
 
 
 OTHERS: dict[str, tuple[bytes, str]] = {
-    "a.mha": (b"ObjectType = Image\nNDims = 3\n", "is a MetaImage .* save it as NIfTI or NRRD"),
-    "a.vtk": (b"# vtk DataFile Version 3.0\n", "is a file of VTK"),
-    "a.tif": (b"II*\0" + bytes(100), "is a TIFF picture without places"),
+    "a.mha": (
+        b"ObjectType = Image\nNDims = 3\n",
+        "is a MetaImage .*: save it as NIfTI or NRRD, as",
+    ),
+    "a.vtk": (b"# vtk DataFile Version 3.0\n", "is a file of VTK: save it as NIfTI or NRRD, as"),
+    "a.tif": (
+        b"II*\0" + bytes(100),
+        "is a TIFF picture without voxel positions: export the scan as NIfTI, NRRD or DICOM",
+    ),
     "a.stl": (b"solid bone\n", "is an STL surface: give it as `surface`"),
     "a.zip": (b"PK\x03\x04" + bytes(100), "is a ZIP archive: unpack it"),
 }
@@ -158,7 +165,7 @@ OTHERS: dict[str, tuple[bytes, str]] = {
 def test_images_files_of_other_kinds_have_a_remedy(name: str, tmp_path: Path) -> None:
     content, message = OTHERS[name]
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(InputError, match=f"{message}.*; expected NIfTI, NRRD, DICOM or .npz"):
+    with pytest.raises(InputError, match=rf"{re.escape(name)}: {message}"):
         images.read(tmp_path / name)
 
 

@@ -266,7 +266,7 @@ def test_press_fit_ingrowth_counts_the_motion_of_the_last_cycle(tmp_path: Path) 
     assert q["inducible_p99"] == pytest.approx(0.18, rel=1e-6)
     assert q["area_inducible_over_150um"] == pytest.approx(q["area"])
     (text,) = (v["what"] for v in results.summary["verdicts"] if v.get("where") == "ingrowth")
-    assert "100 % more than 150 µm. The motion is that of the last cycle" in text
+    assert "100 % more than 150 µm. The motion is inducible, from the last valley" in text
     rest = "stages=[{name: insertion}, {name: shift, cycles: 2}, {name: rest}]"
     history = "supports.top.history=[0, 1, 0.1]"
     results = support.run(PRESSED, tmp_path / "b", "output.report=false", far, rest, history)
@@ -339,11 +339,12 @@ def test_press_fit_findings_say_areas_and_strains() -> None:
     q = {"area": 200.0, "area_micromotion_over_40um": 50.0, "area_micromotion_over_150um": 2.0}
     (verdict,) = _ingrowth({"interfaces": {"stem_bone": q, "other": {"area": 1.0}}})
     assert verdict.what.startswith("75 % of stem_bone moves less than 40 µm, 1 % more than 150 µm")
-    assert "The motion is that of one load" in verdict.what and "beyond" not in verdict.what
+    assert "The motion includes the permanent part" in verdict.what
+    assert "beyond" not in verdict.what
     q |= {"area_inducible_over_40um": 20.0, "area_inducible_over_150um": 0.0}
     (verdict,) = _ingrowth({"interfaces": {"stem_bone": q}})
     assert verdict.what.startswith("90 % of stem_bone moves less than 40 µm, 0 % more")
-    assert "that of the last cycle, from valley to peak" in verdict.what
+    assert "inducible, from the last valley to the last peak" in verdict.what
 
 
 def test_press_fit_ingrowth_states_the_area_that_does_not_touch_bone() -> None:
