@@ -59,7 +59,7 @@ class Key:
     """A key of a file, with texts in Markdown.
 
     Attributes:
-        path: The whole key, ``interfaces.<name>.history``.
+        path: The whole key, ``loads.<name>.history``.
         kind: Kind of its section, or "".
         value: Type and bounds.
         unit: Internal unit, or "".

@@ -97,7 +97,7 @@ class Quantity:
         peak: True if it is a maximum, which may diverge with refinement.
         exact: True if it has no discretization error: counts, run times, penetrations.
         vector: True if it has three components, ``.x`` .. in a study.
-        step_record: True if history.csv has it; of interfaces and the stem.
+        step_record: True if history.csv has it; only in the sections `STEP_RECORD_SECTIONS`.
         headline: True if sweeps and variations compare runs by it.
         curve: True if the page of a run draws its step record, as it does of headlines.
         on_page: True if the page of a run has it in a table, as it has the closing table.
@@ -217,6 +217,8 @@ PARTS = ("rim", "tip", "neck", "edge")
 TENSION_LEVELS = (3, 5, 7, 9, 11)
 # Levels of strains of the cortex [mm] by name: from the lesser trochanter to the tip of a stem.
 GAUGES = {"10": -10.0, "40": -40.0, "80": -80.0, "113": -113.0}
+# Sections whose numbers history.csv may have.
+STEP_RECORD_SECTIONS = ("interfaces", "stem", "bonds", "probes")
 # By section and key, in the order in which they are shown.
 TABLE: dict[str, dict[str, Quantity]] = {
     **{name: {} for name in ("interfaces", "regions", "stem", "femur", "bonds")},
@@ -229,13 +231,17 @@ def add_quantity(*quantities: Quantity) -> None:
 
     Raises:
         KeyError: Unknown section.
-        ValueError: The key exists, the unit is unknown, or the section computes nothing.
+        ValueError: The key exists, the unit is unknown, the section computes nothing, or
+            history.csv has no numbers of the section.
     """
     for q in quantities:
         if q.key in TABLE[q.section] or q.unit not in UNITS:
             raise ValueError(f"{q.section}.{q.key} exists already, or has no known unit")
         if q.compute and q.section not in ("interfaces", "regions"):
             raise ValueError(f"{q.section}.{q.key}: sections interfaces and regions have `compute`")
+        if q.step_record and q.section not in STEP_RECORD_SECTIONS:
+            sections = ", ".join(STEP_RECORD_SECTIONS)
+            raise ValueError(f"{q.section}.{q.key}: only {sections} have `step_record`")
         TABLE[q.section][q.key] = q
 
 

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 Point3 = tuple[float, float, float]
 Sides = tuple[tuple[str, ...], tuple[str, ...]]
 
+# Constants of meshes and their defaults. The hash of a mesh in the cache does not contain them:
+# after a change of one, raise `MESHER_VERSION` in `meshes.cache`.
 LEAST = 1e-8  # size of a cell (mm), so that its powers do not underflow
 COUNTLESS = 1e40  # bound of the number of cells
 # Distance of lines around on a stem, over the size, in cement: pressure has ridges 1.5 to 3 mm wide

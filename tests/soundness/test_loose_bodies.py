@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -327,3 +328,75 @@ def test_loose_bodies_left_within_their_gaps_have_a_warning(linear: str, tmp_pat
 def test_loose_bodies_held_within_their_gaps_have_no_warning(change: str, tmp_path: Path) -> None:
     numbers = support.run(FLOATING, tmp_path, change).summary
     assert not [v for v in numbers["verdicts"] if "arbitrary" in v["what"]]
+
+
+# Bodies that only the facets of a mesh hold
+
+SMALL_STEM = (support.CONFIGS / "stress" / "stem.yaml").read_text(encoding="utf-8")
+SMOOTH_SURFACES = tuple(
+    f"interfaces.{name}.friction_coefficient=0" for name in ("stem_cement", "cement_bone")
+)
+TWIST = (
+    "loads.lateral={kind: force, boundary: stem_top, force: [0 N, 10 N, 0 N], "
+    "at: [100 mm, 0 mm, 24 mm]}"
+)
+
+
+def moved(*overrides: str) -> float:
+    """Largest jump at the end of the first stage [mm]."""
+    analysis = support.analysis(support.case(SMALL_STEM, *overrides))
+    sizes: list[float] = []
+
+    def note(step: object, trial: object) -> None:
+        sizes.append(float(np.abs(trial.jump).max()))  # type: ignore[attr-defined]
+
+    stepper = analysis.load_stepper(note, pytest.fail)
+    assert stepper is not None
+    stepper.run_stage(0, analysis.scene.stages[0], lambda: None)
+    return sizes[-1]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "mode"),
+    [((TWIST,), "rotate about z"), (("geometry.taper=0 deg",), "move along z")],
+)
+def test_loose_bodies_stem_without_friction_is_free(overrides: tuple[str, ...], mode: str) -> None:
+    """It can rotate in its taper, and slide out of a straight hole."""
+    with pytest.raises(ConvergenceError) as caught:
+        moved(*SMOOTH_SURFACES, *overrides)
+    assert re.search(rf"nothing holds body 'stem': .* free to {mode}", str(caught.value))
+
+
+def test_loose_bodies_held_by_curved_facets_alone_are_named() -> None:
+    """Quadratic facets resist the rotation of a smooth stem."""
+    with pytest.raises(ConvergenceError) as caught:
+        moved(*SMOOTH_SURFACES, TWIST, "mesh.order=2")
+    message = str(caught.value)
+    assert re.search(
+        "only the facets of the mesh hold body 'stem': .* free to rotate about z", message
+    )
+
+
+@pytest.mark.parametrize(
+    "overrides", [SMOOTH_SURFACES, (TWIST,), (*SMOOTH_SURFACES, "mesh.size=5 mm")]
+)
+def test_loose_bodies_are_not_those_held_by_surfaces(overrides: tuple[str, ...]) -> None:
+    """A smooth taper holds a stem pushed into it; friction holds a rotation."""
+    assert moved(*overrides) > 0
+
+
+@pytest.mark.parametrize("friction", [0, 0.3, 1])
+def test_loose_bodies_stem_without_friction_is_free_for_any_friction_in_bone(
+    friction: float,
+) -> None:
+    """A stem without friction, pushed aside, leaves its cement. Friction in bone does not hold it.
+
+    The friction is that of the cement in the bone.
+    """
+    changes = (
+        SMOOTH,
+        f"interfaces.cement_bone.friction_coefficient={friction}",
+        "loads.hip.force=[300 N, 0 N, 0 N]",
+    )
+    with pytest.raises(ConvergenceError, match=r"nothing holds body 'stem': .* along z, and the "):
+        support.solve(support.STEM, *changes)

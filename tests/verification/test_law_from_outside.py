@@ -444,3 +444,5 @@ def test_quantity_from_outside_is_added_once_with_a_unit() -> None:
         quantities.add_quantity(quantities.TABLE["interfaces"]["gap_max"])
     with pytest.raises(ValueError, match="unit"):
         quantities.add_quantity(quantities.Quantity("interfaces", "length", "furlong"))
+    with pytest.raises(ValueError, match="interfaces, stem, bonds, probes have `step_record`"):
+        quantities.add_quantity(quantities.Quantity("regions", "length", "mm", step_record=True))

@@ -35,7 +35,9 @@ def pytest_configure(config: pytest.Config) -> None:
         config.addinivalue_line("markers", f"{suite}(group): a problem of `mantle {suite}`")
     config.addinivalue_line("markers", "quick: of the tier quick; takes some seconds")
     config.addinivalue_line("markers", "long: of the tier long alone")
-    config.addinivalue_line("markers", "condensed: solved by both exact linear solvers, too")
+    config.addinivalue_line(
+        "markers", "condensed: solved with solver.linear condensed and direct, too"
+    )
     config.addinivalue_line("markers", "slow: takes more than some seconds")
 
 
@@ -80,7 +82,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def _condensed(item: pytest.Function) -> list[pytest.Function]:
-    """The first run of a problem, condensed onto the jumps and by a Krylov method with factors."""
+    """First run of a problem with ``solver.linear`` `condensed`, compared with `direct`."""
     row = row_of(item, "stress")
     first_run = planned_runs(item, row, "default")[0]
     if row.tolerance is None:
@@ -90,7 +92,7 @@ def _condensed(item: pytest.Function) -> list[pytest.Function]:
     @long
     def solvers(problem: KnownProblem) -> None:
         problem.expects(
-            "every field, condensed and not, over its largest value",
+            "every field, condensed and direct, over its largest value",
             tolerance=1e-7,
             source="the other solver",
             or_refusal=row.refusal,
