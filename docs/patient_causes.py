@@ -61,7 +61,7 @@ def main(bone: Path, canal: Path, folder: Path) -> None:
     azimuth = f"{version} deg"
     femur = load(case("base", parametric(version, -101.0))).config.geometry
     placement = femur.placement
-    half = float(femur_stem.body(femur.implant).section(LENGTH - 101.0)[0])
+    half = float(femur_stem.shaft_of(femur.implant).section(LENGTH - 101.0)[0])
     tip = round(placement.top + placement.slopes[0] * half - LENGTH, 3)
     cases = [
         case("parametric", parametric(version, tip)),

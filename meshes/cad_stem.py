@@ -15,10 +15,10 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.spatial import cKDTree
 
-from app.foundation.arrays import Bools, FloatOrFloats, Floats
+from app.foundation.arrays import Bools, FloatOrFloats, Floats, unit_vectors
 from app.foundation.errors import GeometryError
 from meshes.data import StepKeys
-from meshes.femur_stem import ARC_WEIGHT, LEAST_WHOLE, Thickness, allotted, limited, unit
+from meshes.femur_stem import ARC_WEIGHT, LEAST_WHOLE, Thickness, capped_shares, lines_per_piece
 from meshes.mantle import distance
 from meshes.placement import Placement
 from meshes.plane_sections import ray_crossings, section
@@ -76,10 +76,10 @@ def positions(x: Floats) -> Floats:
 
 def bends(x: Floats) -> Floats:
     """Angles by which a closed plane outline (n, 3) turns at its points (n,) [rad]."""
-    edges = unit(np.roll(x, -1, axis=0) - x)
+    edges = unit_vectors(np.roll(x, -1, axis=0) - x)
     before = np.roll(edges, 1, axis=0)
     across = np.cross(before, edges)
-    normal = unit(np.cross(x, np.roll(x, -1, axis=0)).sum(axis=0))
+    normal = unit_vectors(np.cross(x, np.roll(x, -1, axis=0)).sum(axis=0))
     return np.asarray(np.arctan2(across @ normal, (before * edges).sum(axis=1)))
 
 
@@ -160,7 +160,7 @@ class CornerLines:
         weights = np.where(inside, ARC_WEIGHT, 1.0)
         lengths = weights * np.diff(bounds)
         is_whole = lines % 4 == 0 and lines >= max(LEAST_WHOLE, 2 * len(lengths))
-        shares = allotted(lengths, lines) if is_whole else lengths
+        shares = lines_per_piece(lengths, lines) if is_whole else lengths
         return cls(middles, sharp, first_end, weights, shares / shares.sum())
 
     @staticmethod
@@ -207,7 +207,7 @@ class CornerLines:
         if (weights != self.weights).any() or (np.diff(bounds) <= 0).any():
             return None
         lengths = weights * np.diff(bounds)
-        shares = limited(self.shares, lengths / lengths.sum())
+        shares = capped_shares(self.shares, lengths / lengths.sum())
         return bounds, np.append(0.0, np.cumsum(shares))
 
 
@@ -255,7 +255,7 @@ class CadStem:
         end, neck_axis = shape["end"] * mirror + shift, shape["neck"] * mirror
         bend = end - (1 - NECK_SHARE) * end[0] / neck_axis[0] * neck_axis
         self._path = np.array([[0.0, 0.0, top_level], bend, end - NECK_INSET * neck_axis])
-        medial = unit(np.array([1.0, 0.0, 0.0]) - neck_axis[0] * neck_axis)
+        medial = unit_vectors(np.array([1.0, 0.0, 0.0]) - neck_axis[0] * neck_axis)
         steepest, self._lean = placement.slopes
         self._planes = np.stack([self._plane(steepest), [medial, np.cross(neck_axis, medial)]])
         self._cut = self._path_fraction(placement.top, steepest)
@@ -369,7 +369,7 @@ class CadStem:
         return self
 
     def point(self, phi: Floats, zeta: FloatOrFloats, slope: FloatOrFloats) -> Floats:
-        """Points of outlines as `femur_stem.Body.point`; below the tip they are those above."""
+        """Points of outlines as `StemShaft.point`; below the tip they are those above."""
         zeta, slope = (np.broadcast_to(v, phi.shape) for v in (zeta, slope))
         return self._points_on_outlines(
             phi, self._low + np.abs(zeta - self._low), slope, np.zeros(len(phi))

@@ -88,7 +88,7 @@ class Zones:
         x = self._local(x)
         z, r = x[:, 2], np.hypot(x[:, 0], x[:, 1])
         theta = np.arctan2(x[:, 1], x[:, 0])
-        cavity = femur_stem.body(geometry.implant).outside(self._thickness, theta, z)
+        cavity = femur_stem.shaft_of(geometry.implant).outside(self._thickness, theta, z)
         if geometry.is_cemented:
             # The mantle ends at the endosteum; a stem without cement takes some of the cortex.
             cavity, end_level = np.minimum(cavity, canal), geometry.implant.plug

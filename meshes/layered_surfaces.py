@@ -28,7 +28,7 @@ from meshes import femur_stem
 from meshes.bone_layers import BoneLayers
 from meshes.cad_stem import CadStem
 from meshes.data import MeshKeys
-from meshes.femur_stem import Upper
+from meshes.femur_stem import StemAboveCut
 from meshes.geometry import HipKeys
 from meshes.layers import DIGITS, Lines, Nodes, Sections, root
 from meshes.reference_body import COARSER, ReferenceBody, Segment
@@ -71,7 +71,7 @@ class StemWithMantle:
         tip: The stem's end.
         middle: Height of the section where lines are counted [mm].
         around: Number of lines around.
-        body: The body below the cut.
+        shaft: The stem below the cut.
         is_cad: True if it is from a file.
     """
 
@@ -79,7 +79,7 @@ class StemWithMantle:
         implant, placement = geometry.implant, geometry.placement
         self._implant, self._placement, self._mesh = implant, placement, mesh
         self.plug, self.is_cemented = implant.plug, geometry.is_cemented
-        edge_height = femur_stem.edge(implant, placement.slopes[0])
+        edge_height = femur_stem.shoulder_plane_height(implant, placement.slopes[0])
         self.shoulder = (
             edge_height if edge_height < placement.top - LEAST_SHOULDER_DEPTH else placement.top
         )
@@ -88,37 +88,37 @@ class StemWithMantle:
         self.tip = femur_stem.Tip(implant.tip_z, height, self.plug)
         if implant.cad is not None:
             levels = implant.tip_z, self.shoulder
-            body: Any = CadStem(implant.cad, levels, placement, mesh, implant.collar_thickness)
+            shaft: Any = CadStem(implant.cad, levels, placement, mesh, implant.collar_thickness)
         else:
-            body = replace(femur_stem.body(implant), lean=placement.slopes[1])
+            shaft = replace(femur_stem.shaft_of(implant), lean=placement.slopes[1])
         self.middle = 0.25 * implant.tip_z + 0.75 * placement.top
-        self.around = mesh.lines_around(body.section(self.middle), geometry.cement_thickness)
-        self.body = body.divided(self.middle, self.around)
+        self.around = mesh.lines_around(shaft.section(self.middle), geometry.cement_thickness)
+        self.shaft = shaft.divided(self.middle, self.around)
         self._thickness = femur_stem.thickness(
             geometry.cement_thickness, implant.tip_z, placement.top
         )
 
     @cached_property
-    def upper(self) -> Upper | CadStem:
+    def upper(self) -> StemAboveCut | CadStem:
         """The stem above the neck cut, or above its shoulder."""
         if self.is_cad:
-            return self.body
+            return self.shaft
         levels = self.shoulder, self._placement.top, self._placement.slopes[0]
-        return femur_stem.upper(self._implant, self.body, self._mesh, *levels)
+        return femur_stem.stem_above_cut(self._implant, self.shaft, self._mesh, *levels)
 
     def outline(self, phi: Floats, sections: Sections, zeta: Floats) -> Floats:
         """Points of the stem's outline at angles [turns] in sections at heights (n, 3) [mm]."""
-        x = self.body.point(phi, zeta, sections.slope(zeta))[:, :2]
+        x = self.shaft.point(phi, zeta, sections.slope(zeta))[:, :2]
         x = x * self.tip.width(zeta)[:, None]
         above = zeta > self.shoulder
-        if above.any() and isinstance(self.upper, Upper):
+        if above.any() and isinstance(self.upper, StemAboveCut):
             x[above] = self.upper.point(phi[above], zeta[above])[:, :2]
         return sections.in_plane(x, zeta)
 
     def covered(self, zeta: Floats, start: Floats, end: Floats, oversize: float = 0.0) -> Floats:
         """Fraction of lines, from the stem's outline to the end (n, 3), that is in the mantle (n,).
 
-        0 without cement. Above the shoulder it takes what it and the body would take if they went
+        0 without cement. Above the shoulder it takes what it and the shaft would take if they went
         on to the cut, and has its thickness, along the lines, on the neck.
         """
         if not self.is_cemented:
@@ -131,7 +131,7 @@ class StemWithMantle:
             on_neck[is_above] = self._thickness(np.arctan2(y, x), z)
 
         def depth_in_mantle(fraction: Floats, k: Ints) -> Floats:
-            depth = self.body.depth(self._thickness, start[k] + fraction[:, None] * direction[k])
+            depth = self.shaft.depth(self._thickness, start[k] + fraction[:, None] * direction[k])
             return np.asarray(np.maximum(depth, on_neck[k] - fraction * length[k]) + oversize)
 
         return root(depth_in_mantle, np.ones(len(start)))
@@ -141,7 +141,7 @@ class StemWithMantle:
         if not self.tip.height:
             return x
         theta = np.arctan2(x[:, 1], x[:, 0])
-        share = np.hypot(x[:, 0], x[:, 1]) / (self.body.radius(theta, z) * self.tip.width(z))
+        share = np.hypot(x[:, 0], x[:, 1]) / (self.shaft.radius(theta, z) * self.tip.width(z))
         draped_points = np.column_stack([x[:, :2], z - self.tip.bulge(share, z)])
         return np.asarray(np.round(draped_points, DIGITS))
 
@@ -367,7 +367,7 @@ class LayeredSurfaces:
 
     def outline(self) -> Floats:
         """Section of the stem, a quarter of its way from cut to tip (around, 2) [mm]."""
-        x = self.stem.body.point(np.arange(self.around) / self.around, self.stem.middle, 0.0)
+        x = self.stem.shaft.point(np.arange(self.around) / self.around, self.stem.middle, 0.0)
         return np.round(x[:, :2], DIGITS)
 
     def heights(self, s: Floats) -> Floats:

@@ -56,7 +56,7 @@ def describe(
     cells = data.cells[data.cell_tags == data.regions["cement"]]
     volumes = cell_volumes(data.points, cells)
     plug_fraction = _fraction_below(data.points[cells[:, :4], 2], tip)
-    note: dict[str, Any] = {
+    result: dict[str, Any] = {
         "thickness": {
             "nominal": nominal,
             "min": float(distances.min()),
@@ -75,7 +75,7 @@ def describe(
     if zones:
         zone_of = zones.zones_at(centres)
         in_zone = {zone: (zone_of == zone).any(axis=1) for zone in zones.numbers}
-        note["gruen"] = {
+        result["gruen"] = {
             str(zone): {
                 "min": float(distances[in_this_zone].min()),
                 "mean": float(np.average(distances[in_this_zone], weights=area[in_this_zone])),
@@ -84,7 +84,7 @@ def describe(
             for zone, in_this_zone in in_zone.items()
             if in_this_zone.any()
         }
-    return note
+    return result
 
 
 def _fraction_below(z: Floats, level: float) -> Floats:

@@ -261,7 +261,7 @@ class CutPlane:
         placement = Placement(self.normal, rotation, foot, self.level / self.normal[2], mirrored)
         if position.depth is None:
             return placement
-        edge = femur_stem.edge(implant, placement.slopes[0])
+        edge = femur_stem.shoulder_plane_height(implant, placement.slopes[0])
         return replace(placement, top=edge + position.depth)
 
 

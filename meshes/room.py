@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from app.foundation.arrays import Floats
+from app.foundation.arrays import Floats, unit_vectors
 from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
 from meshes import femur_stem
@@ -96,7 +96,7 @@ def canal(geometry: HipKeys) -> WidestCanal:
     points = layers.canal(angles, heights)
     if not geometry.is_cemented:
         ends = layers.ends(angles, heights)
-        points = ends - LEAST_CORTEX * femur_stem.unit(ends - points)
+        points = ends - LEAST_CORTEX * unit_vectors(ends - points)
     points = placement.to_model(points)
     return canal_of(cut, points.reshape(len(zeta), CANAL_AROUND, 3))
 
@@ -165,7 +165,7 @@ class StemSurface:
         low = implant.tip_z + implant.tip_height
         turns = np.arange(around) / around
         if implant.cad is None:
-            body = femur_stem.body(implant)
+            body = femur_stem.shaft_of(implant)
             start, end = (body.point(turns, np.full(around, z), 0.0) for z in (low, low + 1.0))
             return cls(implant, start, end - start)
         steps = _Steps()
@@ -193,8 +193,10 @@ class StemSurface:
             return self.points
         implant, slopes = self.implant, placement.slopes
         shoulder = _shoulder(implant, placement)
-        body = replace(femur_stem.body(implant), lean=slopes[1])
-        upper = femur_stem.upper(implant, body, _Steps(), shoulder, placement.top, slopes[0])
+        shaft = replace(femur_stem.shaft_of(implant), lean=slopes[1])
+        upper = femur_stem.stem_above_cut(
+            implant, shaft, _Steps(), shoulder, placement.top, slopes[0]
+        )
         height, slope = upper.planes[1]
         rise = np.array([slope, slope * slopes[1], 1.0])
         length = (height - self.start @ rise) / (self.direction @ rise)
@@ -221,7 +223,7 @@ class StemSurface:
 
 def _shoulder(implant: Implant, placement: Placement) -> float:
     """Height at the axis of the section at the shoulder, or of the cut, as meshed [mm]."""
-    edge = femur_stem.edge(implant, placement.slopes[0])
+    edge = femur_stem.shoulder_plane_height(implant, placement.slopes[0])
     return edge if edge < placement.top - LEAST_SHOULDER_DEPTH else placement.top
 
 

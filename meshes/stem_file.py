@@ -12,11 +12,10 @@ from typing import TypedDict
 
 import numpy as np
 
-from app.foundation.arrays import FloatOrFloats, Floats, Ints
+from app.foundation.arrays import FloatOrFloats, Floats, Ints, unit_vectors
 from app.foundation.errors import GeometryError
 from meshes.cad_stem import NECK_INSET, outline, outline_length
 from meshes.data import facet_areas
-from meshes.femur_stem import unit
 from meshes.gmsh_child import MILLIMETRES, elements, nodes, session
 from meshes.mantle import triangles
 from meshes.plane_sections import section
@@ -91,10 +90,10 @@ def read(request: StemRequest) -> dict[str, FloatOrFloats]:
         origin, axis = _axis(coarse)
     else:
         origin, high = np.array(request["axis"])
-        axis = unit(high - origin)
+        axis = unit_vectors(high - origin)
     end, normal, radius = _taper(path, points, faces, origin, axis, request["taper_face"])
     head = end if request["head_centre"] is None else np.array(request["head_centre"])
-    medial = unit(head - origin - axis * (axis @ (head - origin)))
+    medial = unit_vectors(head - origin - axis * (axis @ (head - origin)))
     rotation = np.stack([medial, np.cross(axis, medial), axis])
     x = (triangles(points, np.concatenate(faces), EDGE_PARTS) - origin) @ rotation.T
     tip_level, rounding_level = (_tip(x, share) for share in (TIP_SHARE, ROUNDING_SHARE))

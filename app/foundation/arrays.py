@@ -1,4 +1,4 @@
-"""Array types."""
+"""Array types, and unit vectors."""
 
 from collections.abc import Callable
 
@@ -14,3 +14,8 @@ FloatOrFloats = float | Floats
 Field = Callable[[Floats], Floats]
 # Numbers of any type, such as those of voxels.
 Numbers = NDArray[np.number]
+
+
+def unit_vectors(vectors: Floats) -> Floats:
+    """Vectors (..., 3) over their lengths."""
+    return np.asarray(vectors / np.sqrt((vectors**2).sum(axis=-1, keepdims=True)))

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from app.foundation.arrays import Bools, Floats, Ints
+from app.foundation.arrays import Bools, Floats, Ints, unit_vectors
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
@@ -111,7 +111,7 @@ def unit_sums(vectors: Floats, weights: Floats, corners: Ints, node_count: int) 
     """
     sums = np.zeros((node_count, 3))
     np.add.at(sums, corners, weights[:, :, None] * vectors)
-    return sums / np.linalg.norm(sums, axis=1, keepdims=True)
+    return unit_vectors(sums)
 
 
 def _angle(a: Floats, b: Floats) -> Floats:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.foundation.arrays import Bools, Floats, Ints
+from app.foundation.arrays import Bools, Floats, Ints, unit_vectors
 from meshes.facets import foot
 
 CANDIDATES = 16  # facets, by the distance of their centres, among which the closest is sought
@@ -118,7 +118,7 @@ class SmoothSurface:
 
     def normal(self, facet: Ints, barycentric: Floats) -> Floats:
         """Unit normals of the smooth surface at points of facets (p, 3)."""
-        return _unit_vectors(self._mean(self.normals, facet, barycentric))
+        return unit_vectors(self._mean(self.normals, facet, barycentric))
 
     def faces(self, points: Floats, normals: Floats, facet: Ints, barycentric: Floats) -> Bools:
         """Mask of points (p,) whose outward unit normals (p, 3) face their closest points."""
@@ -214,7 +214,7 @@ def mortar(
     points = np.einsum("qk,fki->fqi", barycentric, x[triangles]).reshape(-1, 3)
     facet, master_barycentric, distance = master.closest(points)
     faces = master.faces(
-        points, np.repeat(_unit_vectors(vectors), point_count, axis=0), facet, master_barycentric
+        points, np.repeat(unit_vectors(vectors), point_count, axis=0), facet, master_barycentric
     )
     covered_area = np.einsum(
         "f,q,qk,fq->fk", area, weight, barycentric, faces.reshape(-1, point_count)
@@ -260,7 +260,7 @@ def triangle_rule(points: int) -> tuple[Floats, Floats]:
 
 def _fitted_normals(x: Floats, triangles: Ints, vectors: Floats, neighbours: Ints) -> Floats:
     """Unit normals (n, 3) at nodes of quadrics through them, fitted to near ones (n, k)."""
-    n = _unit_vectors(
+    n = unit_vectors(
         np.stack([_sum_by_node(triangles, np.repeat(v, 3), len(x)) for v in vectors.T], 1)
     )
     axes = np.linalg.svd(n[:, None])[2][:, 1:]  # two tangents of each node
@@ -271,16 +271,12 @@ def _fitted_normals(x: Floats, triangles: Ints, vectors: Floats, neighbours: Int
     squares = a * a, a * b, b * b, a * height, b * height, height * height
     inverse_fit = np.linalg.pinv(np.stack([a, b, *squares], axis=2))
     slope = np.einsum("njk,nk->nj", inverse_fit[:, :2], height)
-    return _unit_vectors(n - np.einsum("nj,nji->ni", slope, axes))
+    return unit_vectors(n - np.einsum("nj,nji->ni", slope, axes))
 
 
 def _area_vectors(corners: Floats) -> Floats:
     """Normals of triangles (f, 3, 3), as long as their areas (f, 3)."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
-
-
-def _unit_vectors(vectors: Floats) -> Floats:
-    return vectors / np.linalg.norm(vectors, axis=1)[:, None]
 
 
 def _sum_by_node(node: Ints, values: Floats, node_count: int) -> Floats:

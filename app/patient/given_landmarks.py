@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from app.foundation.arrays import Floats
+from app.foundation.arrays import Floats, unit_vectors
 from app.foundation.errors import GeometryError
 from app.patient.bone_surface import BoneSurface
-from meshes.femur_stem import unit
 
 # Largest distance of a landmark from the surface on which it is [mm]. Detected ones are within 1.4.
 MOST_FROM_SURFACE = 10.0
@@ -89,7 +88,7 @@ class GivenLandmarks:
                 "geometry.landmarks.shaft: its points are equal; expected two points of the"
                 " shaft's axis, the distal one first"
             )
-        axis = unit(proximal - distal)
+        axis = unit_vectors(proximal - distal)
         angle = math.degrees(math.acos(max(-1.0, min(1.0, float(axis @ up)))))
         if angle > MOST_TURNED:
             raise GeometryError(
@@ -134,7 +133,7 @@ class GivenLandmarks:
         """
         apex = np.array(self._given["lesser_trochanter"])
         to_head = head - axis_point
-        medial = unit(to_head - (to_head @ up) * up)
+        medial = unit_vectors(to_head - (to_head @ up) * up)
 
         def is_right(x: Floats) -> bool:
             """True if a point is near the surface, on the side of the head."""

@@ -19,12 +19,11 @@ from scipy.optimize import least_squares, minimize
 from scipy.signal import find_peaks
 from scipy.spatial import cKDTree
 
-from app.foundation.arrays import Bools, Floats
+from app.foundation.arrays import Bools, Floats, unit_vectors
 from app.foundation.errors import GeometryError
 from app.patient import shaft
 from app.patient.bone_surface import BoneSurface, mean_point_text
 from app.patient.given_landmarks import SHAFT_LEVEL, GivenLandmarks
-from meshes.femur_stem import unit
 from meshes.plane_sections import centroid, exits, section
 
 HEAD_RADII = (14.0, 36.0)  # mm: smallest and largest radius of a head
@@ -253,7 +252,7 @@ class _Finder:
     def frame(self) -> Frame:
         """The landmarks."""
         neck, neck_spread = self._neck()
-        up, medial = self.up, unit(neck - (neck @ self.up) * self.up)
+        up, medial = self.up, unit_vectors(neck - (neck @ self.up) * self.up)
         side = self._side(np.asarray(np.cross(up, medial)))
         anterior_sign = 1.0 if side == "left" else -1.0  # of up x medial, if that is anterior
         version, version_spread = None, 0.0
@@ -331,7 +330,7 @@ class _Finder:
             on_sphere = (np.abs(distances - radius) < 2 * SPHERE_DISTANCE) & (
                 _row_dots(offsets, normal) > LEAST_COSINE * distances
             )
-            pole = unit(area[on_sphere] @ (offsets[on_sphere] / distances[on_sphere, None]))
+            pole = unit_vectors(area[on_sphere] @ (offsets[on_sphere] / distances[on_sphere, None]))
             offsets = self.centre - centre
             near_cap = np.flatnonzero(
                 (offsets @ pole > 0) & (np.abs(_norms(offsets) - radius) < 0.25 * radius)
@@ -358,7 +357,7 @@ class _Finder:
         """Find a point of the shaft's axis and its direction, from an estimate."""
         if "shaft" in self.given:
             distal, self.point = map(np.array, self.given["shaft"])
-            self.up = unit(self.point - distal)
+            self.up = unit_vectors(self.point - distal)
             return
         depth_of_end = float(self.origin @ self.up) - shaft.end_level(self.surface, self.up)
         lowest_depth = min(depth_of_end, SHAFT_RANGE[1] * self.radius)
@@ -422,7 +421,7 @@ class _Finder:
             self.trochanter = np.array(self.given["lesser_trochanter"])
         else:
             axis_at_head = self.point + ((self.head - self.point) @ up) * up
-            medial = unit(self.head - axis_at_head)
+            medial = unit_vectors(self.head - axis_at_head)
             angles = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 22)[:, None]
             directions = np.cos(angles) * medial + np.sin(angles) * np.cross(up, medial)
             depths = np.arange(0.3 * radius, 4.2 * radius, SECTION_STEP)
@@ -455,7 +454,7 @@ class _Finder:
                 near_apex = np.abs((self.centre - axis_at_head) @ up + depth) < 0.4 * radius
                 self.trochanter = self._outermost(direction, near_apex)
                 offset = self.trochanter - self.point
-                direction = unit(offset - (offset @ up) * up)
+                direction = unit_vectors(offset - (offset @ up) * up)
         self.origin = self.point + ((self.trochanter - self.point) @ up) * up
 
     def _outermost(self, direction: Floats, is_marked: Bools) -> Floats:
@@ -474,12 +473,14 @@ class _Finder:
         x, triangles = self.x[used_rows], triangles.reshape(-1, 3)
         angles = 2 * np.pi * np.arange(72) / 72
         rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        neck_estimate = unit(head - (self.origin + 0.6 * radius * up))
+        neck_estimate = unit_vectors(head - (self.origin + 0.6 * radius * up))
         first_axis, second_axis = _perpendicular_axes(neck_estimate, up)
 
         def cut(parameters: Floats, offset: float) -> tuple[float, Floats]:
             """Area and centroid of a section."""
-            axis = unit(neck_estimate + parameters[0] * first_axis + parameters[1] * second_axis)
+            axis = unit_vectors(
+                neck_estimate + parameters[0] * first_axis + parameters[1] * second_axis
+            )
             centre = head - (parameters[2] * radius + offset) * axis
             plane = np.stack(_perpendicular_axes(axis, up))
             for _ in range(2):
@@ -499,7 +500,7 @@ class _Finder:
         ).x
         neck_vector = head - np.mean([cut(optimum, offset)[1] for offset in NECK_OFFSETS], axis=0)
         spread = math.hypot(self.spread, 0.75 * self.rms) / float(np.linalg.norm(neck_vector))
-        return unit(neck_vector), spread
+        return unit_vectors(neck_vector), spread
 
     def _side(self, anterior_of_left: Floats) -> str:
         """The side; ``anterior_of_left`` is anterior of a left femur (3,).
@@ -539,7 +540,7 @@ class _Finder:
                 for side in (1, -1)
             ]
             line = np.subtract(*self.given.get("condyles", condyle_points))
-            line = unit(line - (line @ up) * up)
+            line = unit_vectors(line - (line @ up) * up)
             posterior = np.cross(up, line) * np.sign(np.cross(up, line) @ posterior)
         return line
 
@@ -590,7 +591,9 @@ def _fitted_sphere(x: Floats, area: Floats, centre: Floats, radius: float) -> tu
 
 def _perpendicular_axes(axis: Floats, hint: Floats | None = None) -> tuple[Floats, Floats]:
     """Two unit vectors that are right-handed with an axis (3,), the first across a hint."""
-    first_axis = unit(np.cross(np.eye(3)[np.abs(axis).argmin()] if hint is None else hint, axis))
+    first_axis = unit_vectors(
+        np.cross(np.eye(3)[np.abs(axis).argmin()] if hint is None else hint, axis)
+    )
     return first_axis, np.asarray(np.cross(axis, first_axis))
 
 

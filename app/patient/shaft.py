@@ -11,14 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from app.foundation.arrays import Floats
+from app.foundation.arrays import Floats, unit_vectors
 from app.foundation.errors import GeometryError
 from app.patient import welding
 from app.patient.bone_surface import BoneSurface
 from app.patient.measured_layers import LEAST_CORTEX, THETA
 from meshes.data import connected
 from meshes.femur_bone import CANAL, CONE_END, ISTHMUS, OUTER
-from meshes.femur_stem import unit
 from meshes.plane_sections import centroid, exits, mean_width
 
 # Least downward part of a normal at the end of a surface [-].
@@ -98,7 +97,7 @@ def flat_end(surface: BoneSurface) -> Floats | None:
     _, plane = np.unique(plane_keys, axis=0, return_inverse=True)
     plane_areas = np.bincount(plane.ravel(), triangle_areas)
     largest_plane = int(plane_areas.argmax())
-    inward = -unit(area_vectors[plane.ravel() == largest_plane].sum(axis=0))
+    inward = -unit_vectors(area_vectors[plane.ravel() == largest_plane].sum(axis=0))
     extends_beyond = (x @ inward).min() < (
         a[plane.ravel() == largest_plane] @ inward
     ).min() - FLATNESS

@@ -103,7 +103,7 @@ def packed(geometry: OperatedHip, title: str, source: Path) -> tuple[dict[str, o
     numbers, femur, insertion = PackedArrays(), geometry.femur, geometry.insertion
     canal, start = room.canal(geometry), position(geometry)
     placement = geometry.placement
-    edge = femur_stem.edge(geometry.implant, placement.slopes[0])
+    edge = femur_stem.shoulder_plane_height(geometry.implant, placement.slopes[0])
     start = replace(start, depth=float(placement.top) - edge)
     relative = insertion.version.relative_to if insertion else "neck"
     points, triangles = _thinned(*femur.drawn)
@@ -203,7 +203,7 @@ def _packed_stem(
         "way": stem.direction.tolist(),
         "tip": implant.tip_z,
         "shoulder": implant.shoulder,
-        "lateral": implant.shoulder - femur_stem.edge(implant, 1.0),
+        "lateral": implant.shoulder - femur_stem.shoulder_plane_height(implant, 1.0),
         "head": [implant.head_offset, 0.0, implant.head_height],
         "neck": {
             "angle": implant.neck_angle,

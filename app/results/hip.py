@@ -350,7 +350,7 @@ def _interface(s: ContactSamples, i: int, mask: NDArray[np.bool_]) -> dict[str, 
     for name in names:
         value = mean = s.sizes[name].reshape(len(s.x), -1).max(axis=1)
         if name in tractions:
-            value, mean = tractions[name].value, tractions[name].of_points
+            value, mean = tractions[name].value, tractions[name].point_mean
         numbers[f"{name}_max"] = float(value[mask].max())
         numbers[f"{name}_mean"] = float(np.average(mean[mask], weights=weight))
     return numbers | {"area": float(weight.sum())}

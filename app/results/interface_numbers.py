@@ -129,12 +129,12 @@ class TractionSize(NamedTuple):
     Attributes:
         mean: Means over the areas of the faces (n, 3).
         value: Point values recovered from them (n, 3).
-        of_points: Means over the areas of the points (n,).
+        point_mean: Means over the areas of the points (n,).
     """
 
     mean: Floats
     value: Floats
-    of_points: Floats
+    point_mean: Floats
 
 
 class ContactSamples:
@@ -149,7 +149,7 @@ class ContactSamples:
         weight: Area (n,) [mm2].
         penetration: Overlap of the faces of contact points (p, 3) [mm]; by mean jumps where
             interfaces meet.
-        of_points: Interface of each contact point (p,).
+        interface_of_contact_point: Interface of each contact point (p,).
         gap: Opening of each face (n, 3) [mm]; 0 for faces that a point does not have.
         opening: Opening of the point, the largest of its faces (n,) [mm].
         slip: Slip: tangential part of the jump at a point in contact, without the elastic part of a
@@ -204,7 +204,7 @@ class ContactSamples:
         self.opening = np.max(opening, axis=1, where=is_face, initial=-np.inf)
         # The law holds at the contact points. Some of them have the mean jump of several corners.
         self.penetration = contact.gather(overlap_of_faces(trial))
-        self.of_points = points.interface
+        self.interface_of_contact_point = points.interface
         # The second side of the case may be the slave or the master.
         contacts = problem.scene.contacts
         signs = np.array([-1.0 if c.swapped else 1.0 for c in contacts])
@@ -256,15 +256,15 @@ class ContactSamples:
             name: np.repeat(v[:, None], 3, axis=1)
             for name, v in (("pressure", self.pressure), ("shear", self.shear))
         }
-        of_points = {"pressure": self.pressure.copy(), "shear": self.shear}
+        point_means = {"pressure": self.pressure.copy(), "shear": self.shear}
         # With finite sliding, forces per area are not means weighted by shape functions.
         if self.contacts[i].between:
-            return {k: TractionSize(m, m, of_points[k]) for k, m in means.items()}
+            return {k: TractionSize(m, m, point_means[k]) for k, m in means.items()}
         means["pressure"] = surface.of_faces(self._pressures)
         if self.contacts[i].law.layer is None:
             means["shear"] = shear_of_faces(self.shear, self._pressures, means["pressure"])
-        of_points["pressure"] = self._pressures.sum(axis=1)
-        return {k: TractionSize(m, surface.sharpened(m), of_points[k]) for k, m in means.items()}
+        point_means["pressure"] = self._pressures.sum(axis=1)
+        return {k: TractionSize(m, surface.sharpened(m), point_means[k]) for k, m in means.items()}
 
     @cached_property
     def numbers(self) -> dict[str, Numbers]:
@@ -292,7 +292,7 @@ def _numbers(s: ContactSamples, i: int, selected: set[str] | None = None) -> Num
         for zone_surface in ([""] if selected else surface.parts)
     }
     main = parts.pop("") | {
-        "penetration_max": float(s.penetration[s.of_points == i].max(initial=0.0)),
+        "penetration_max": float(s.penetration[s.interface_of_contact_point == i].max(initial=0.0)),
         "dissipation": float(s.dissipation[mask].sum()),
         "dissipation_min": float(s.smallest_dissipation[mask].min()),
         "contact_work": float(s.contact_work[mask].sum()),
@@ -305,7 +305,7 @@ def _numbers(s: ContactSamples, i: int, selected: set[str] | None = None) -> Num
     if s.contacts[i].law.compresses:
         main["compression_max"] = main["penetration_max"]
     main["pressure_mean_max"], _ = surface.field(s.tractions[i]["pressure"].mean, "").maximum()
-    by_facets = float(s.by_facets[s.of_points == i].max(initial=0.0))
+    by_facets = float(s.by_facets[s.interface_of_contact_point == i].max(initial=0.0))
     if by_facets > DECIDED * main["pressure_max"]:
         main["pressure_by_facets"] = by_facets
     zones = {}

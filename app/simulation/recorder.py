@@ -18,7 +18,7 @@ from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import StoppedError
 from app.foundation.verdict import Verdict
 from app.mechanics.contact import TrialState
-from app.results import closing_lines as text
+from app.results import closing_lines
 from app.results.balance import Balance
 from app.results.cycles import Cycles
 from app.results.interface_numbers import ContactSamples
@@ -157,8 +157,8 @@ class Recorder:
         self._stage = stage
         if not _has_valleys(stage):  # inducible motion is that of the last cycle of the run
             self.valley = {}
-        columns = text.HEAT if stage.takes_time else text.STEP
-        self._header = text.line(columns, columns)
+        columns = closing_lines.HEAT if stage.takes_time else closing_lines.STEP
+        self._header = closing_lines.line(columns, columns)
 
     def step(self, step: LoadStep, trial: TrialState | None) -> None:
         """Record a step of the mechanics; collective."""
@@ -203,7 +203,7 @@ class Recorder:
             wall = clock.perf_counter() - self._begin
             t = self._model.thermal
             if t:
-                self._log(text.heat_line(step.number, accepted, t.row(), wall))
+                self._log(closing_lines.heat_line(step.number, accepted, t.row(), wall))
             self._row(step)
 
     def _line(self, step: LoadStep) -> None:
@@ -213,7 +213,7 @@ class Recorder:
         wall = clock.perf_counter() - self._begin
         rate = (len(self._model.scene.stages) - step.time) / step.time
         time_left = self._timing.seconds.get("solve", 0.0) * rate
-        self._log(text.step_line(step, fractions, deepest, wall, time_left))
+        self._log(closing_lines.step_line(step, fractions, deepest, wall, time_left))
 
     def _log(self, line: str) -> None:
         """Log the line of a step, and before the first one of a stage the header."""

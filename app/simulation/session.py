@@ -27,8 +27,7 @@ from app.foundation.verdict import Severity, Verdict, note
 from app.numerics import lifetime
 from app.numerics.krylov import condition_number
 from app.numerics.newton import raw_options, unused
-from app.results import closing_lines as text
-from app.results import error_estimate, run_table, verdicts
+from app.results import closing_lines, error_estimate, run_table, verdicts
 from app.results.path_tables import path_tables
 from app.results.run_folder import Writer, provenance
 from app.results.verdicts import UNUSABLE
@@ -78,7 +77,7 @@ class Setup:
     noted: set[Verdict] = field(default_factory=set)
     chosen: str = ""
 
-    def note(self, notes: Sequence[Verdict]) -> None:
+    def log_notes(self, notes: Sequence[Verdict]) -> None:
         """Log notes on the case, each once."""
         for verdict in notes:
             if verdict not in self.noted:
@@ -128,7 +127,7 @@ def run(
         begin=begin,
         started=started,
     )
-    setup.note([*case.file.notes, *preview.warnings(case.config)])
+    setup.log_notes([*case.file.notes, *preview.warnings(case.config)])
     with case.file.placing(), ExitStack() as stack:
         on_root(comm, lambda: stack.enter_context(claim(output)), share=False)
         if case.config.variations:
@@ -139,7 +138,7 @@ def run(
                 config, setup.chosen = accuracy.choose(case.config, solve, walltime)
                 setup.loaded = replace(case, config=config)
             summary = _CaseRun(setup, setup.loaded.itself, output).run()
-            text.report(summary)
+            closing_lines.report(summary)
             verdicts.check_usable({output: summary})
     log.info("results in %s", output)
     return comm
@@ -213,7 +212,7 @@ def _solve_variation(setup: Setup, run: PlannedRun, folder: Path) -> Summary:
         write_failure = partial(write_text, folder / FAILED, f"{failure}\n")
         on_root(setup.comm, write_failure, share=False)
         return {}
-    text.report(summary, table=False)
+    closing_lines.report(summary, table=False)
     return summary
 
 
@@ -240,10 +239,12 @@ class _CaseRun:
         )
         self._model = setup.model = model
         self._notes = [*preview.warnings(case), *model.notes]
-        setup.note(self._notes)
+        setup.log_notes(self._notes)
         unused_options = unused(case.solver.petsc | setup.options)
         if unused_options:
-            setup.note([note(f"PETSc did not use {', '.join(unused_options)}; is it misspelt?")])
+            setup.log_notes(
+                [note(f"PETSc did not use {', '.join(unused_options)}; is it misspelt?")]
+            )
         log.info(
             "%s: %s, %s, %s",
             case.title or loaded.path.stem,
@@ -289,8 +290,8 @@ class _CaseRun:
                 raise ConvergenceError([*failure.verdicts, *lines]) from failure
             path = self._checkpoints.save()
             if path:
-                text = f"state saved in {path}; --restart auto continues from it"
-                lines.append(Verdict(text, severity=Severity.PLAIN))
+                message = f"state saved in {path}; --restart auto continues from it"
+                lines.append(Verdict(message, severity=Severity.PLAIN))
             self._recorder.close("stopped", failure.verdicts)
             raise StoppedError([*failure.verdicts, *lines]) from failure
 
@@ -320,7 +321,7 @@ class _CaseRun:
         verdicts.record(summary, notes)
         if verdicts.reasons_not_to_use(summary):
             summary["status"] = UNUSABLE
-        setup.note(notes)
+        setup.log_notes(notes)
         if case.output.condition and model.mechanical_path:
             A = model.mechanical_path.solver.snes.getJacobian()[0]
             summary["solver"]["condition"] = condition_number(A)

@@ -85,7 +85,7 @@ def test_cad_stem_lines_follow_section_corners(name: str, tmp_path: Path) -> Non
     numbers = set()
     for height in np.linspace(3.0, min(sections[-1, 4], 120.0), 25):
         a, b, r, _, _ = (np.interp(height, sections[:, 4], v) for v in sections.T)
-        x = surfaces.stem.body.point(phi, low + height, 0.0)[:, :2]
+        x = surfaces.stem.shaft.point(phi, low + height, 0.0)[:, :2]
         x -= 0.5 * (x.max(axis=0) + x.min(axis=0))  # the axis is not the middle of sections
         ends = [(a, b - r), (a - r, b)] if r else [(a, b)]
         for u, v in product((1, -1), repeat=2):

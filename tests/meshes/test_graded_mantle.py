@@ -53,7 +53,7 @@ def test_graded_mantle_nodes_have_the_local_thickness(kind: str, tmp_path: Path)
     x = zones._local(x[cKDTree(cortex).query(x)[0] > 2.0]) - [0, 0, zones.tip]
     x = x[(x[:, 2] > 5) & (x[:, 2] < 125)]
     theta, z = np.meshgrid(np.linspace(0, 2 * np.pi, 720), np.arange(0, 135, 0.2))
-    r = femur_stem.body(Femur().implant).radius(theta, z + Femur().implant.tip_z)
+    r = femur_stem.shaft_of(Femur().implant).radius(theta, z + Femur().implant.tip_z)
     stem = np.stack([r * np.cos(theta), r * np.sin(theta), z], axis=-1).reshape(-1, 3)
     cut = zones._level / zones._normal[2] - zones.tip
     wanted = asked(np.arctan2(x[:, 1], x[:, 0]), x[:, 2] / cut)

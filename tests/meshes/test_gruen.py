@@ -89,7 +89,7 @@ def test_gruen_zones_exclude_stem_cement_and_neck() -> None:
         on_left: list[bool] = ZONES.is_left(np.array(points)).tolist()
         return on_left
 
-    cavity = femur_stem.body(GEOMETRY.implant).offset(GEOMETRY.cement_thickness)
+    cavity = femur_stem.shaft_of(GEOMETRY.implant).offset(GEOMETRY.cement_thickness)
     medial = float(cavity.section(0.0)[0])
     assert left((medial - 0.1, 0.0, 0.0), (medial + 0.1, 0.0, 0.0)) == [False, True]
     # Where the canal has no room all of the cancellous bone goes, and none of the cortex.

@@ -18,13 +18,13 @@ GEOMETRY = Femur()
 TURN = np.linspace(-np.pi, np.pi, 361)
 
 
-def outline(shape: femur_stem.Body, z: float) -> np.ndarray:
+def outline(shape: femur_stem.StemShaft, z: float) -> np.ndarray:
     r = shape.radius(TURN, np.full_like(TURN, z))
     return np.column_stack([r * np.cos(TURN), r * np.sin(TURN)])
 
 
 def test_femur_stem_sections_are_rounded_rectangles() -> None:
-    shape = femur_stem.body(GEOMETRY.implant)
+    shape = femur_stem.shaft_of(GEOMETRY.implant)
     a, b, r = shape.section(15.0)
     assert (a, b, r) == pytest.approx((8.5, 5.0, 3.0))
     assert shape.section(-118.0) == pytest.approx((3.0, 3.0, 2.1))
@@ -38,7 +38,7 @@ def test_femur_stem_sections_are_rounded_rectangles() -> None:
 @pytest.mark.parametrize("thickness", [1.0, 4.0, 8.0])
 def test_femur_stem_offset_has_the_given_distance(thickness: float) -> None:
     """Flats exactly (in the normal's direction), corners within a thousandth."""
-    shape = femur_stem.body(GEOMETRY.implant)
+    shape = femur_stem.shaft_of(GEOMETRY.implant)
     far = shape.offset(thickness)
     a, _, _ = shape.section(0.0)
     slope = shape.slope[0]

@@ -72,7 +72,7 @@ def test_swept_nodes_are_on_exact_surfaces(thickness: float, curved: bool) -> No
     """Stem's body everywhere; the mantle's outer side but where a layer ends."""
     data = built(6.0, curved, cement_thickness=thickness)
     geometry = hip(cement_thickness=thickness)
-    body = femur_stem.body(geometry.implant)
+    body = femur_stem.shaft_of(geometry.implant)
     facets, _, _ = interface_facets(data, "stem_cement")
     x, y, z = data.points[np.unique(facets)].T
     flank = z > geometry.implant.tip_z + geometry.implant.tip_rounding + 1e-6
@@ -130,7 +130,7 @@ def test_swept_anteversion_rotates_stem_not_bone(build: Any) -> None:
     if kind is Femur:
         facets, _, _ = interface_facets(data, "stem_cement")
         x, y, z = turned(data.points[np.unique(facets)], -angle).T
-        off = np.hypot(x, y) - femur_stem.body(geometry.implant).radius(np.arctan2(y, x), z)
+        off = np.hypot(x, y) - femur_stem.shaft_of(geometry.implant).radius(np.arctan2(y, x), z)
         flank = z > geometry.implant.tip_z + geometry.implant.tip_rounding + 1e-6
         assert np.abs(off[flank]).max() < 2e-6
 
@@ -156,7 +156,7 @@ def test_swept_void_below_the_tip_has_no_cement() -> None:
     """As far as asked for, over the section of the stem; nothing bears on the end."""
     data, full = built(6.0, True, tip_void=5.0), built(6.0, True, tip_rounding=0.0)
     left, whole = (region_volumes(d)["cement"] for d in (data, full))
-    a, b, r = femur_stem.body(hip().implant).section(np.linspace(-123.0, -118.0, 1001))
+    a, b, r = femur_stem.shaft_of(hip().implant).section(np.linspace(-123.0, -118.0, 1001))
     assert whole - left == pytest.approx(5 * (4 * a * b - (4 - np.pi) * r**2).mean(), rel=0.003)
     for d, bears in ((data, False), (full, True)):
         facets, _, _ = interface_facets(d, "stem_cement")
@@ -179,7 +179,7 @@ def test_swept_size_sets_lines_and_steps(size: float, lines: int) -> None:
     """Distances of lines are a fraction of the size where lines are counted; steps are the size."""
     surfaces = Surfaces(hip(), sized(size))
     assert surfaces.around == lines
-    a, b, r = surfaces.stem.body.section(surfaces.stem.middle)
+    a, b, r = surfaces.stem.shaft.section(surfaces.stem.middle)
     perimeter = 4 * (a + b - 2 * r) + 2 * np.pi * r
     assert perimeter / lines == pytest.approx(0.2 * size, rel=0.1)
     steps = np.diff(surfaces.sections.zeta[surfaces.tip : surfaces.cut])
@@ -222,9 +222,9 @@ def test_swept_lines_follow_the_ends_of_arcs(around: int, pieces: list[int]) -> 
     surfaces = Surfaces(hip(), sized(6.0, around=around))
     ends = np.array([pieces[0], pieces[0] + pieces[1]]) / around
     for zeta, slope in product(np.linspace(-117.0, 20.0, 30), (0.0, 0.7)):
-        x, y, z = surfaces.stem.body.point(ends, np.full(2, zeta), np.full(2, slope)).T
+        x, y, z = surfaces.stem.shaft.point(ends, np.full(2, zeta), np.full(2, slope)).T
         np.testing.assert_allclose(z, zeta - slope * x, atol=1e-9)
-        a, b, r = surfaces.stem.body.section(z)
+        a, b, r = surfaces.stem.shaft.section(z)
         np.testing.assert_allclose([x[0], y[0]], [a[0], (b - r)[0]], atol=1e-9)
         np.testing.assert_allclose([x[1], y[1]], [(a - r)[1], b[1]], atol=1e-9)
 
@@ -233,7 +233,7 @@ def test_swept_lines_leave_arcs_of_round_sections() -> None:
     """No edge at the end of such a stem is shorter than a sixth of the mean."""
     surfaces = Surfaces(hip(tip_corner_radius=2.99), sized(6.0))
     phi = np.arange(surfaces.around) / surfaces.around
-    x = surfaces.stem.body.point(phi, -118.0, 0.0)
+    x = surfaces.stem.shaft.point(phi, -118.0, 0.0)
     edges = np.linalg.norm(x - np.roll(x, 1, axis=0), axis=1)
     assert edges.min() > edges.mean() / 6
 

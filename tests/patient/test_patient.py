@@ -123,7 +123,7 @@ def test_patient_stem_from_a_file_equals_the_parametric_stem(folder: Path) -> No
     assert here.details["end of the neck in parametric.step"] == "[43.0, 0.0, 172.0] mm"
     x = here.placement.to_stem(data.points[np.unique(interface_facets(data, "stem_cement")[0])])
     x, y, z = x[x[:, 2] > -146.9].T
-    body = femur_stem.body(given.implant)
+    body = femur_stem.shaft_of(given.implant)
     assert len(z) > 200 and z.max() < 0
     assert np.hypot(x, y) == pytest.approx(body.radius(np.arctan2(y, x), z), abs=0.013)
     for name in ("cement", "cortical_bone", "cancellous_bone"):
@@ -141,7 +141,7 @@ def test_patient_right_femur_is_mirrored_with_its_stem(folder: Path) -> None:
         stem = {"step": file, "head_centre": ["42 mm", f"{y} mm", "172 mm"]}
         geometry = patient(folder, bone={"surface": f"{name}.stl"}, stem=stem, **IN)
         assert geometry.details["side"] == side
-        body = LayeredSurfaces(geometry, options()).stem.body
+        body = LayeredSurfaces(geometry, options()).stem.shaft
         shapes.append(np.stack([body._cached_outline(z, 0.1, 0.0) for z in (-140.0, -80.0, -20.0)]))
         shapes.append(np.array(list(geometry.points.values())))
     one, points, other, mirrored = shapes
@@ -223,7 +223,7 @@ def test_placement_moves_the_stem_but_not_the_bone(kind: str, tmp_path: Path) ->
     x, y, z = (turn.inv().apply(x - pivot - shift) + pivot).T
     flank = (z > -116 + 1e-6) & (z < 28.99)  # the file ends at its shoulder
     x, y, z = x[flank], y[flank], z[flank]
-    radius = femur_stem.body(femur().implant).radius(np.arctan2(y, x), z)
+    radius = femur_stem.shaft_of(femur().implant).radius(np.arctan2(y, x), z)
     assert len(z) > 200
     assert np.hypot(x, y) == pytest.approx(radius, abs=1e-5 if kind == "parametric" else 0.02)
     x, y, z = data.points[data.facets[np.isin(data.facet_tags, data.boundaries["bone_surface"])]].T
@@ -262,7 +262,10 @@ def test_placement_shoulder_below_the_cut_has_cement_above(kind: str, folder: Pa
         assert quality.quality_without_length(data.points, data.cells).min() > 0.05
     metal, there = (v["stem"] for v in volumes)
     assert metal == pytest.approx(there, rel=2e-3)
-    level, rise = femur_stem.edge(geometry.implant, 0.0), 0.0 if kind == "file" else 7.61 / 21.24
+    level, rise = (
+        femur_stem.shoulder_plane_height(geometry.implant, 0.0),
+        0.0 if kind == "file" else 7.61 / 21.24,
+    )
     x = data.points[np.unique(interface_facets(data, "stem_cement")[0])]
     x, y, z = geometry.placement.to_stem(x).T
     along = x + 9.08
@@ -316,12 +319,12 @@ def _own(geometry: Patient) -> Floats:
     placement, implant = geometry.placement, geometry.implant
     z, phi = np.meshgrid(np.arange(-geometry.stem.length, 20.0), np.arange(48) / 48)
     slope, lean = placement.slopes
-    body = replace(femur_stem.body(implant), lean=lean)
+    body = replace(femur_stem.shaft_of(implant), lean=lean)
     x = body.point(phi.ravel(), z.ravel(), 0.0)
-    edge = min(femur_stem.edge(implant, slope), placement.top)
+    edge = min(femur_stem.shoulder_plane_height(implant, slope), placement.top)
     if edge < placement.top:  # metal is on the body up to there, and then on the way to the neck
         x = x[x @ [slope, slope * lean, 1.0] < edge]
-        upper = femur_stem.upper(implant, body, options(), edge, placement.top, slope)
+        upper = femur_stem.stem_above_cut(implant, body, options(), edge, placement.top, slope)
         z, phi = np.meshgrid(np.linspace(edge, placement.top, 20), np.arange(48) / 48)
         x = np.concatenate([x, upper.point(phi.ravel(), z.ravel())])
     return x

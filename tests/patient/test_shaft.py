@@ -12,14 +12,13 @@ import pytest
 from pydantic import ValidationError
 
 from app.case.shapes import MeshOptions
-from app.foundation.arrays import Floats
+from app.foundation.arrays import Floats, unit_vectors
 from app.foundation.errors import GeometryError
 from app.patient import landmarks, shaft, welding
 from app.patient.bone_surface import BoneSurface
 from app.patient.geometry import Patient
 from app.patient.measured_layers import MeasuredLayers
 from meshes import femur_bone
-from meshes.femur_stem import unit
 from meshes.plane_sections import centroid, exits, section
 from tests.patient.bones import parametric_canal, parametric_femur, tube, write
 from tests.patient.patients import made, patient
@@ -41,8 +40,8 @@ def cylinder() -> BoneSurface:
 
 def scanned(surface: BoneSurface, point: Floats, normal: Floats) -> BoneSurface:
     """The part of a surface on the side of a plane to which its normal points, closed there."""
-    n = unit(np.asarray(normal, dtype=float))
-    a = unit(np.cross([0.0, 1.0, 0.0], n))
+    n = unit_vectors(np.asarray(normal, dtype=float))
+    a = unit_vectors(np.cross([0.0, 1.0, 0.0], n))
     axes = np.stack([a, np.cross(n, a), n])
     x = (surface.points - point) @ axes.T
     kept = shaft.clipped(replace(surface, points=x), 0.0)

@@ -112,7 +112,7 @@ def test_geometry_stems_of_the_thickness_sweep_share_a_cavity() -> None:
     assert len({g.cement_thickness for g in shared}) == len(shared) == 4
     for z in (-118.0, -50.0, 20.0):
         outlines = [
-            femur_stem.body(g.implant).offset(g.cement_thickness).section(z) for g in shared
+            femur_stem.shaft_of(g.implant).offset(g.cement_thickness).section(z) for g in shared
         ]
         assert np.ptp(outlines, axis=0) == pytest.approx(0.0, abs=0.003)
 
@@ -124,7 +124,7 @@ def test_geometry_plug_fills_the_canal_below_the_tip() -> None:
     low, high = tip - geometry.plug_length, tip + height
     exact = volume(femur_bone.Tube(femur_bone.CANAL).radius, low, high)
     # The rounded end of the stem fills four fifths of its height.
-    exact -= 0.8 * volume(femur_stem.body(geometry.implant).radius, tip, high)
+    exact -= 0.8 * volume(femur_stem.shaft_of(geometry.implant).radius, tip, high)
     # Flat facets of 3 mm lose 4 % of a circle of 6 mm.
     assert plug == pytest.approx(exact, rel=0.05)
 
