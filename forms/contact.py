@@ -1,4 +1,6 @@
-r"""Unilateral contact with Coulomb friction at a point of an interface (paper eq. 57, 63-65).
+r"""Unilateral contact with Coulomb friction at a point of an interface.
+
+Equations 57 and 63 to 65 are those of the paper, Ramaniraka and others (docs/theory.md).
 
 A contact point has the gap vector D (slave minus master) [mm] and the interface force per area
 F [MPa]. F is the multiplier of the term F . D in the potential. The normal n points from the master
@@ -25,9 +27,10 @@ A point on an edge of an interface has up to three faces, each with its normal, 
 force. The normal direction is then the span of the normals of the touching faces. Friction acts in
 the orthogonal complement: along the edge if two faces touch, not at all if three touch.
 
-A set of faces touches if their pressures and the gaps of the other faces are not negative. If no
-set satisfies both, friction on one face holds the point against another. All faces then touch:
-nothing penetrates, and friction carries the part that pressures cannot.
+A set of faces is admissible if their pressures and the gaps of the other faces are not negative.
+The admissible set touches. At an edge it can happen that no set is admissible, since friction on
+one face balances pressure on another. Then all faces count as closed: nothing penetrates, and
+friction carries the part that pressures cannot.
 """
 
 from __future__ import annotations
@@ -60,8 +63,8 @@ from ufl.variable import Variable
 
 from forms import Scalar
 
-# A face counts as open if its gap exceeds minus this fraction of |S|/r. The sign of a rounding
-# error then does not decide.
+# A face is open if its gap exceeds -ROUNDING |S|/r. The tolerance avoids changes of state by
+# rounding.
 ROUNDING = 1e-9
 # A point has the status STICK until its tangential trial force exceeds the limit of friction by
 # this fraction. Rounding errors then do not decide while loads are constant.

@@ -64,7 +64,7 @@ def build(geometry: GeometryKeys, mesh: MeshKeys, cache: Path | None = None) -> 
     """
     if cache is None:
         return _make(geometry, mesh)
-    path = Path(cache) / f"mesh-{_cache.key(geometry, mesh)}.npz"
+    path = Path(cache) / f"mesh-{_cache.mesh_hash(geometry, mesh)}.npz"
     with _cache.lock(path):
         data = _cache.load(path)
         if data is None:

@@ -227,8 +227,8 @@ def searched(
     Raises:
         GeometryError: No position within the limits has room for the stem.
     """
-    content = {**cache.of_geometry(geometry), "search": SEARCH_VERSION}
-    path = folder / f"{cache.hashed(content)}.json" if folder else None
+    content = {**cache.geometry_content(geometry), "search": SEARCH_VERSION}
+    path = folder / f"{cache.hash_of(content)}.json" if folder else None
     if path:
         # A damaged file is replaced.
         with suppress(OSError, ValueError, TypeError, KeyError):

@@ -25,9 +25,9 @@ log = logging.getLogger("mantle")
 MESHER_VERSION = 43  # raise it whenever the same input gives another mesh or other notes
 
 
-def key(geometry: GeometryKeys, mesh: MeshKeys) -> str:
+def mesh_hash(geometry: GeometryKeys, mesh: MeshKeys) -> str:
     """Hash of everything the mesh depends on; of files their content, not their names."""
-    content = of_geometry(geometry)
+    content = geometry_content(geometry)
     content["mesh"] = mesh.model_dump()
     # The order of the displacement does not change the mesh.
     content["mesh"].pop("order", None)
@@ -37,23 +37,23 @@ def key(geometry: GeometryKeys, mesh: MeshKeys) -> str:
         is_meshed = geometry.is_script
     if is_meshed:
         content["gmsh"] = _gmsh_version()
-    return hashed(content)
+    return hash_of(content)
 
 
-def of_geometry(geometry: GeometryKeys) -> dict[str, Any]:
+def geometry_content(geometry: GeometryKeys) -> dict[str, Any]:
     """Content of a geometry and its files, and the version of the meshers."""
     keys = _without_paths(geometry.model_dump())
     return {"geometry": keys, "files": geometry.content, "version": MESHER_VERSION}
 
 
-def hashed(content: dict[str, Any]) -> str:
-    """Hash of a content, the name of its file in a cache."""
+def hash_of(content: dict[str, Any]) -> str:
+    """Hash of the input of a file in the cache, used as its name."""
     json_text = json.dumps(content, sort_keys=True, default=str)
     return hashlib.sha256(json_text.encode()).hexdigest()[:24]
 
 
 def _without_paths(keys: dict[str, Any]) -> dict[str, Any]:
-    """Keys of a geometry but those of its files."""
+    """Geometry keys without file paths."""
     return {
         key: _without_paths(value) if isinstance(value, dict) else value
         for key, value in keys.items()
@@ -97,7 +97,7 @@ def lock(path: Path) -> Iterator[None]:
             fcntl.flock(file, fcntl.LOCK_EX)
             files.clear(path.parent, path.name)
         except OSError:
-            pass  # where nothing can be written or locked, all make the same mesh
+            pass  # without a lock every run makes the mesh itself
         yield
 
 

@@ -19,7 +19,7 @@ from app.foundation.arrays import Bools, FloatOrFloats, Floats, unit_vectors
 from app.foundation.errors import GeometryError
 from meshes.data import StepKeys
 from meshes.femur_stem import ARC_WEIGHT, LEAST_WHOLE, Thickness, capped_shares, lines_per_piece
-from meshes.mantle import distance
+from meshes.nearest_facets import distance
 from meshes.placement import Placement
 from meshes.plane_sections import ray_crossings, section
 

@@ -10,7 +10,7 @@ import numpy as np
 from app.foundation.arrays import Bools, Floats, Ints
 from meshes.data import MeshData, MeshKeys, assemble, exterior_facets, number
 from meshes.geometry import CylinderKeys
-from meshes.gmsh_child import grade, session, tetrahedra
+from meshes.gmsh_session import grade, session, tetrahedra
 from meshes.quality import POOR, sicn
 
 SLICE_LENGTH = 2.0  # mesh sizes: shorter cylinders may be swept

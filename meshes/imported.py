@@ -24,7 +24,8 @@ from meshes.data import (
     same_triangles,
 )
 from meshes.geometry import FileKeys
-from meshes.gmsh_child import MILLIMETRES, ReadRequest, session
+from meshes.gmsh_reader_process import ReadRequest
+from meshes.gmsh_session import MILLIMETRES, session
 from meshes.pieces import coincident
 from meshes.quality import bent, overlapping, places, untangle
 
@@ -142,7 +143,7 @@ def _messages(mesh_file: FileMesh, cells: int, inverted: int) -> list[str]:
 
 
 def _read(geometry: FileKeys, mesh: MeshKeys) -> FileMesh:
-    """Read the file; gmsh reads in a child process (`meshes.gmsh_child.read`)."""
+    """Read the file; gmsh reads in a child process (`meshes.gmsh_reader_process.read`)."""
     path = geometry.path
     with tempfile.TemporaryDirectory(prefix="mantle-gmsh-") as folder:
         if not (path.is_file() and geometry.copy_files(Path(folder)) == geometry.content):
@@ -159,7 +160,7 @@ def _read(geometry: FileKeys, mesh: MeshKeys) -> FileMesh:
             "parameters": dict(geometry.parameters),
             "regions": geometry.region_names,
         }
-        arrays = confined.ask("meshes.gmsh_child:read", request, folder)
+        arrays = confined.ask("meshes.gmsh_reader_process:read", request, folder)
     cells, surfaces = (
         {key.removeprefix(kind): block for key, block in arrays.items() if key.startswith(kind)}
         for kind in ("cells ", "surfaces ")

@@ -6,17 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from app.foundation.arrays import Floats, Ints
+from app.foundation.arrays import Floats
 from meshes.data import MeshData, cell_volumes, faces_of, facet_areas, interface_facets
-from meshes.facets import foot, shape_functions
+from meshes.nearest_facets import distance, triangles
 
 if TYPE_CHECKING:
     from meshes.gruen import Zones
 
 CLIPPED_SHARE = 0.9  # of the nominal thickness: thinner is where the canal had no room
-EDGE_PARTS = 3  # into which the edges of facets are divided, to follow their curvature
-CANDIDATES = 12  # candidates for the nearest facet
-LARGE_FACTOR = 2.0  # of the median of longest edges: facets with longer ones have more candidates
 # Evenly spread points in a tetrahedron, for its fraction below a level (barycentric).
 LATTICE = np.array(
     [(i, j, k, 5 - i - j - k) for i in range(6) for j in range(6 - i) for k in range(6 - i - j)]
@@ -108,74 +105,3 @@ def least_cortex(data: MeshData, tip: float) -> float:
         triangles(data.points, facets).mean(axis=1), triangles(data.points, surface)
     )
     return float(distances.min())
-
-
-def triangles(points: Floats, facets: Ints, parts: int = EDGE_PARTS) -> Floats:
-    """Flat triangles (n, 3, 3) [mm] of facets, approximate for curved ones."""
-    if facets.shape[1] == 3:
-        return points[facets]
-    nodes = [(i, j) for i in range(parts + 1) for j in range(parts + 1 - i)]
-    row = {node: k for k, node in enumerate(nodes)}
-    corners = [[(i, j), (i + 1, j), (i, j + 1)] for i, j in nodes if i + j < parts]
-    corners += [[(i + 1, j), (i + 1, j + 1), (i, j + 1)] for i, j in nodes if i + j < parts - 1]
-    barycentric = np.array([(i, j, parts - i - j) for i, j in nodes]) / parts
-    # `shape_functions` has the middle of 12 before that of 20 and 01.
-    x = points[facets[:, [0, 1, 2, 4, 5, 3]]]
-    fine = np.einsum("qn,fni->fqi", shape_functions(barycentric, 6), x)
-    return fine[:, [[row[node] for node in corner] for corner in corners]].reshape(-1, 3, 3)
-
-
-def _samples(surface: Floats) -> tuple[Floats, Ints]:
-    """Points (k, 3) all over triangles (m, 3, 3) [mm], and the triangle of each (k,).
-
-    They are vertices, middles of edges and centres. Triangles that are larger than most, such as
-    those of the flat sides of a stem from CAD, have more points at about the same distance.
-    """
-    a, b, c = surface.transpose(1, 0, 2)
-    samples = [a, b, c, (a + b) / 2, (b + c) / 2, (c + a) / 2, (a + b + c) / 3]
-    triangle_of: list[Ints] = [np.arange(len(surface))] * len(samples)
-    longest = np.sqrt(((surface - np.roll(surface, 1, axis=1)) ** 2).sum(axis=2)).max(axis=1)
-    division_counts = np.ceil(longest / (LARGE_FACTOR * np.median(longest))).astype(np.int64)
-    for divisions in np.unique(division_counts[division_counts > 1]):
-        # Corners and centres of the parts of a triangle that is divided n times along each side.
-        grid = [
-            (i, j, 3 * divisions - i - j)
-            for i in range(3 * divisions + 1)
-            for j in range(3 * divisions + 1 - i)
-        ]
-        barycentric = np.array([triple for triple in grid if len({k % 3 for k in triple}) == 1]) / (
-            3 * divisions
-        )
-        large = np.flatnonzero(division_counts == divisions)
-        samples.append((barycentric @ surface[large]).reshape(-1, 3))
-        triangle_of.append(np.repeat(large, len(barycentric)))
-    return np.concatenate(samples), np.concatenate(triangle_of)
-
-
-def distance(points: Floats, surface: Floats) -> Floats:
-    """Distance of points (n, 3) from the triangles (m, 3, 3) nearest to them [mm]."""
-    triangle, weights = nearest(points, surface)
-    return np.linalg.norm(np.einsum("nk,nki->ni", weights, surface[triangle]) - points, axis=1)
-
-
-def nearest(points: Floats, surface: Floats) -> tuple[Ints, Floats]:
-    """Nearest triangle (m, 3, 3) of each point (n, 3), and barycentric coordinates there (n, 3)."""
-    from scipy.spatial import cKDTree  # 0.1 s, which most runs do without
-
-    samples, triangle_of = _samples(surface)
-    _, candidates = cKDTree(samples).query(points, k=min(CANDIDATES, len(samples)))
-    nearest_triangle = np.zeros(len(points), dtype=np.int64)
-    least_distance = np.full(len(points), np.inf)
-    weights = np.zeros((len(points), 3))
-    for candidate in triangle_of[candidates].T:
-        foot_weights = foot(points, surface[candidate])
-        distances = np.linalg.norm(
-            np.einsum("nk,nki->ni", foot_weights, surface[candidate]) - points, axis=1
-        )
-        is_nearer = distances < least_distance
-        nearest_triangle[is_nearer], least_distance[is_nearer], weights[is_nearer] = (
-            candidate[is_nearer],
-            distances[is_nearer],
-            foot_weights[is_nearer],
-        )
-    return nearest_triangle, weights

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from app.foundation.arrays import Floats, Ints
-from meshes.gmsh_child import elements, grade, nodes, session
+from meshes.gmsh_session import elements, grade, nodes, session
 
 # Part of y that x is sheared by: mirrored cells would be cut by either diagonal equally well, and
 # rounding would decide.

@@ -16,8 +16,8 @@ from app.foundation.arrays import FloatOrFloats, Floats, Ints, unit_vectors
 from app.foundation.errors import GeometryError
 from meshes.cad_stem import NECK_INSET, outline, outline_length
 from meshes.data import facet_areas
-from meshes.gmsh_child import MILLIMETRES, elements, nodes, session
-from meshes.mantle import triangles
+from meshes.gmsh_session import MILLIMETRES, elements, nodes, session
+from meshes.nearest_facets import triangles
 from meshes.plane_sections import section
 
 # A circle of 6 mm is met to 0.008 mm.

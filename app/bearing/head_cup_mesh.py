@@ -10,7 +10,7 @@ import numpy as np
 
 from app.foundation.arrays import Floats, Ints
 from meshes.data import MeshData, MeshKeys, assemble, exterior_facets, number
-from meshes.gmsh_child import grade, session, tetrahedra
+from meshes.gmsh_session import grade, session, tetrahedra
 
 if TYPE_CHECKING:
     from app.bearing.head_cup import HeadCup

@@ -15,7 +15,7 @@ from app.foundation.errors import GeometryError
 
 # Longest time that a reader may take [s].
 SECONDS = 3600
-_SERVE = "from {0} import {1}; from meshes.gmsh_child import serve; serve({1}, {2})"
+_SERVE = "from {0} import {1}; from meshes.gmsh_reader_process import serve; serve({1}, {2})"
 
 
 def ask(reader: str, request: Mapping[str, object], folder: str) -> dict[str, Any]:

@@ -294,7 +294,7 @@ class ImplicitStep(System):
         f[0].array[:] = np.where(self._is_prescribed, 0.0, evaluation.residual_heat.sum(axis=0))
         if jumps is not None and evaluation.flux:
             total = -jumps.weight * evaluation.flux[0]
-            for b, B in jumps.moves.items():
+            for b, B in jumps.jump_to_temperature.items():
                 self._scratch[1].array[:] = evaluation.residual_heat[b]
                 to_jumps = f[1].duplicate()
                 B.multTranspose(self._scratch[1], to_jumps)

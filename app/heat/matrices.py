@@ -59,8 +59,10 @@ class HeatMatrices:
         self._diagonal = self._A.createVecLeft()
         self.matrix = [[self._A]]
         if jumps is not None:
-            self._C = {b: self._by_body[b].matMult(B) for b, B in jumps.moves.items()}
-            self._D = {b: B.transposeMatMult(self._C[b]) for b, B in jumps.moves.items()}
+            self._C = {b: self._by_body[b].matMult(B) for b, B in jumps.jump_to_temperature.items()}
+            self._D = {
+                b: B.transposeMatMult(self._C[b]) for b, B in jumps.jump_to_temperature.items()
+            }
             self._linear_blocks = (
                 matrix_sum(list(self._C.values())),
                 matrix_sum(list(self._D.values())),
@@ -103,7 +105,7 @@ class HeatMatrices:
             C, D = self._linear_blocks
             C.zeroEntries()
             D.zeroEntries()
-            for b, B in self._jumps.moves.items():
+            for b, B in self._jumps.jump_to_temperature.items():
                 self._by_body[b].matMult(B, result=self._C[b])
                 B.transposeMatMult(self._C[b], result=self._D[b])
                 C.axpy(1.0, self._C[b], structure=SUBSET_PATTERN)
@@ -136,12 +138,19 @@ class HeatMatrices:
         for linear, block in zip(self._linear_blocks, (C, D), strict=True):
             linear.copy(block, structure=SAME_PATTERN)
         for b, released in heat_by_temperature.items():
-            if b in jumps.moves:
-                scaled, node_factors = jumps.moves[b].copy(), jumps.moves[b].createVecLeft()
+            if b in jumps.jump_to_temperature:
+                scaled, node_factors = (
+                    jumps.jump_to_temperature[b].copy(),
+                    jumps.jump_to_temperature[b].createVecLeft(),
+                )
                 node_factors.array[:] = released
                 scaled.diagonalScale(node_factors)
                 C.axpy(-1.0, scaled, structure=SUBSET_PATTERN)
-                D.axpy(-1.0, jumps.moves[b].transposeMatMult(scaled), structure=SUBSET_PATTERN)
+                D.axpy(
+                    -1.0,
+                    jumps.jump_to_temperature[b].transposeMatMult(scaled),
+                    structure=SUBSET_PATTERN,
+                )
         is_free = self.vectors()
         is_free[0].array[:] = ~self._is_prescribed
         is_free[1].array[:] = ~jumps.prescribed

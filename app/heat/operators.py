@@ -1,4 +1,6 @@
-r"""Heat operators of a scene on its mesh: constant but for corrections of conduction.
+r"""Heat matrices of a scene on its mesh.
+
+They are constant, except the conduction matrices, which the maximum principle may correct.
 
 The temperature of body b is T_b = θ + B_b τ (see `heat.temperature_jumps`). Over an interval h that
 started at T*, the residual heat of its nodes is
@@ -50,7 +52,8 @@ class HeatOperators:
         cure: Heat of cure, if anything cures.
         friction: Heat of friction, if an interface has any.
         exchange: Exchange of surfaces with finite sliding, once it is set.
-        principle: The conduction matrices, corrected where necessary.
+        principle: The conduction matrices of the bodies, with the corrections that the maximum
+            principle needs.
 
     Raises:
         InputError: The scene does not fit the mesh.
@@ -91,7 +94,7 @@ class HeatOperators:
         self._continuous = fem.Function(forms.space, name="temperature")
         self._by_body = {
             b: fem.Function(forms.space, name=f"temperature {self.bodies.names[b]}")
-            for b in (self.jumps.moves if self.jumps else ())
+            for b in (self.jumps.jump_to_temperature if self.jumps else ())
         }
 
     @cached_property
@@ -100,7 +103,7 @@ class HeatOperators:
         return node_keys(self.forms.space)[: self.forms.owned]
 
     def block_keys(self) -> list[Ints]:
-        """Keys of temperatures, and of jumps and degrees of cure if there are any."""
+        """Keys of the saved rows of temperatures, and of jumps and degrees of cure if any."""
         jumps = [self.jumps.owned_rows] if self.jumps else []
         curing = [self.row_keys[n.dof] for n in self.cure.nodes] if self.cure else []
         return [self.row_keys, *jumps, *curing]
@@ -124,7 +127,7 @@ class HeatOperators:
         """Temperature of owned nodes of each body due to jumps (b, n) [K]."""
         added_temperatures = self.forms.zeros()
         if self.jumps is not None:
-            for b, B in self.jumps.moves.items():
+            for b, B in self.jumps.jump_to_temperature.items():
                 B.mult(τ, self._work)
                 added_temperatures[b] = self._work.array
         return added_temperatures
@@ -156,7 +159,7 @@ class HeatOperators:
         return self._by_body.get(self.bodies.body_of_region[region], self._continuous)
 
 
-class InitialJump:
+class InitialContactTemperature:
     r"""Nodes at which regions of different initial temperature meet in perfect contact.
 
     Their interface immediately takes the mean of both temperatures, weighted by the effusivities

@@ -44,7 +44,7 @@ class TemperatureJumps:
         prescribed: Mask of owned points whose two sides have prescribed temperatures (n,).
         prescribing_condition: Conditions that prescribe the temperatures of master and slave at
             owned points, -1 where the jump is free (n, 2).
-        moves: Matrix B_b of each body whose temperature depends on jumps.
+        jump_to_temperature: Matrix B_b of each body whose temperature depends on jumps.
         pressure: Contact pressure at owned points (n,) [MPa], set by the mechanics.
         friction: Friction heat per area at owned points (n,) [N/(mm s)], set by the mechanics.
         share: Share of the friction heat that enters the slave (n,).
@@ -90,10 +90,10 @@ class TemperatureJumps:
         row = entries.row[is_used] // 3 - begin
         column = number_of_point[entries.column[is_used] // 3]
         value = entries.value[is_used]
-        self.moves: dict[int, PETSc.Mat] = {}
+        self.jump_to_temperature: dict[int, PETSc.Mat] = {}
         for b in map(int, np.unique(entries.body)):
             rows = body == b
-            self.moves[b] = from_triplets(
+            self.jump_to_temperature[b] = from_triplets(
                 comm, forms.owned, point_count, row[rows], column[rows], value[rows]
             )
         self.pressure: Floats = np.zeros(point_count)

@@ -142,19 +142,19 @@ class Load(Extensible, Named):
         return None
 
     @property
-    def cycle_sizes(self) -> tuple[float, ...]:
-        """Sizes of the force at the rows of its cycle table [N]; none without."""
+    def force_magnitudes(self) -> tuple[float, ...]:
+        """Magnitudes of the force at the rows of its cycle table [N]; none without."""
         return ()
 
     def density_at(self, x: Floats) -> Floats:
         """Force per volume at points (n, 3) [N/mm3]."""
         return 0.0 * x
 
-    def moving_force(self, driven: Container[str | None]) -> Force | None:
-        """Return it if it is a force with a cycle table or a motion; else None.
+    def as_moving_force(self, driven_boundaries: Container[str | None]) -> Force | None:
+        """Return the load if it is a force with a cycle table or a motion, else None.
 
         Args:
-            driven: Boundaries that motions drive.
+            driven_boundaries: Boundaries that motions drive.
         """
         return None
 
@@ -228,10 +228,11 @@ class Force(Load):
                 message = "is zero; expected the force that the factors of the cycle table multiply"
                 fail(message, at=("force",))
             return self
-        expected_size = given_groups == [("force",)]
-        if abs(size - expected_size) > 1e-3:
-            expected_text = DIRECTION if expected_size else NO_FORCE
-            fail(f"is {size:g} N long; expected {expected_text}", at=("force",))
+        if given_groups == [("force",)]:  # it multiplies a direction
+            if abs(size - 1.0) > 1e-3:
+                fail(f"is {size:g} N long; expected {DIRECTION}", at=("force",))
+        elif size > 1e-3:  # components replace the key
+            fail(f"is {size:g} N long; expected {NO_FORCE}", at=("force",))
         return self
 
     @property
@@ -245,20 +246,20 @@ class Force(Load):
         return self.cycle_table
 
     @property
-    def cycle_sizes(self) -> tuple[float, ...]:
-        """Sizes of the force at the rows of its cycle table [N]; none without."""
+    def force_magnitudes(self) -> tuple[float, ...]:
+        """Magnitudes of the force at the rows of its cycle table [N]; none without."""
         if self.cycle_table is None:
             return ()
         first, *_, last = times = self.cycle_table.times
         return tuple(math.hypot(*self.force_at((t - first) / (last - first))) for t in times)
 
-    def moving_force(self, driven: Container[str | None]) -> Force | None:
+    def as_moving_force(self, driven_boundaries: Container[str | None]) -> Force | None:
         """Return the force if it has a cycle table, or it or its boundary has a motion."""
-        moves = self.cycle_table or self.follows or self.boundary in driven
+        moves = self.cycle_table or self.follows or self.boundary in driven_boundaries
         return self if moves else None
 
     def force_at(self, s: float) -> tuple[float, float, float]:
-        """Force at a part of a cycle from 0 to 1 (3,) [N]; `force` without a cycle table."""
+        """Force at a phase of the cycle, 0 to 1 (3,) [N]; `force` without a cycle table."""
         if self.cycle_table is None:
             return self.force
         size, factor, *components = self.cycle_table.values_at(("force", FACTOR, *FORCES), s)

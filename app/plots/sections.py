@@ -20,7 +20,7 @@ from app.plots import figures
 from app.plots.figures import PNG
 from app.plots.maps import joined
 from meshes.data import EDGES, MeshData, boundary_facets, interface_facets
-from meshes.mantle import distance, triangles
+from meshes.nearest_facets import distance, triangles
 
 # The straight cells that share the nodes of a curved one: four at its corners, and four around a
 # diagonal.

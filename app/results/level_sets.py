@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from app.foundation.arrays import Floats, Ints
 from app.heat.heat_forms import HeatForms
-from meshes.mantle import distance
+from meshes.nearest_facets import distance
 
 # Corners of the edges and of the faces of a tetrahedron.
 _EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])

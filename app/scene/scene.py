@@ -421,7 +421,7 @@ def _loads(
     insertion: int,
 ) -> tuple[Load, ...]:
     """A load; for a force with a cycle table or a motion, its three components."""
-    force = load.moving_force([motion.boundary for motion in motions.values()])
+    force = load.as_moving_force([motion.boundary for motion in motions.values()])
     if force is None:
         return (load.named(name),)
     followed_motion = motions[force.follows] if force.follows else None

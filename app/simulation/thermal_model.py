@@ -6,7 +6,7 @@ from dolfinx import fem
 
 from app.case.case import Case
 from app.case.probes import Probe
-from app.heat.operators import InitialJump
+from app.heat.operators import InitialContactTemperature
 from app.mechanics.problem import Problem
 from app.results.balance import HeatBalance
 from app.results.thermal_record import CureRecord, ThermalRecord, exchange
@@ -46,7 +46,7 @@ class ThermalModel:
                 for name, (first, second) in case.faces.items()
             },
         )
-        self._first_contact = InitialJump(operators)
+        self._first_contact = InitialContactTemperature(operators)
         # True after a steady state: first instants are not checked any more.
         self.settled = False
         self.record.start(self._reported(0.0))

@@ -362,7 +362,9 @@ def _doubtful_cycles(case: Case) -> Iterable[Verdict]:
     """Notes on cycles of the forces on a hip that end below their peak, and on constant forces."""
     if not case.geometry.has_gruen_zones:
         return
-    sizes_of = {name: load.cycle_sizes for name, load in case.loads.items() if load.cycle_sizes}
+    sizes_of = {
+        name: load.force_magnitudes for name, load in case.loads.items() if load.force_magnitudes
+    }
     for name, sizes in sizes_of.items():
         last, peak = sizes[-1], max(sizes)
         if last < PEAK * peak:
@@ -372,7 +374,7 @@ def _doubtful_cycles(case: Case) -> Iterable[Verdict]:
             )
             remedy = "begin and end the table at the peak"
             yield note(message, f"loads.{name}.cycle_table", remedy)
-    constant = [n for n, load in case.loads.items() if load.resultant and not load.cycle_sizes]
+    constant = [n for n, load in case.loads.items() if load.resultant and not load.force_magnitudes]
     if sizes_of and constant:
         message = f"{', '.join(sizes_of)} follows a cycle, but {', '.join(constant)} stay constant"
         yield note(message, "loads", "give the muscles cycle tables, too, or leave them out")

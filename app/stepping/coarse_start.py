@@ -143,7 +143,7 @@ def interpolation(source: ContactPoints, target: ContactPoints, owned: Ints) -> 
     """
     from scipy.sparse import csr_array  # few runs need these imports
 
-    from meshes.mantle import nearest
+    from meshes.nearest_facets import nearest
 
     no_rows = np.zeros(0, dtype=np.int64)
     entries: list[tuple[Ints, Ints, Floats]] = [(no_rows, no_rows, np.zeros(0))]

@@ -163,7 +163,7 @@ class CoupledSystem(ContactSystem):
     def _assemble_thermal_forces(self) -> list[list[PETSc.Mat]]:
         """Minus the thermal forces by temperatures and their jumps, in rows of the mechanics."""
         operators = self._heat.operators
-        by_body = operators.jumps.moves if operators.jumps else {}
+        by_body = operators.jumps.jump_to_temperature if operators.jumps else {}
         body_of_region = operators.bodies.body_of_region
         moves = {r: by_body[b] for r, b in body_of_region.items() if b in by_body}
         problem = self._problem
@@ -194,7 +194,9 @@ class CoupledSystem(ContactSystem):
         is_prescribed = [operators.fixed.base_condition >= 0]
         jumps = operators.jumps
         if jumps is not None:
-            at_jumps = [B.transposeMatMult(nodal_heat[b]) for b, B in jumps.moves.items()]
+            at_jumps = [
+                B.transposeMatMult(nodal_heat[b]) for b, B in jumps.jump_to_temperature.items()
+            ]
             blocks.append(matrix_sum(at_jumps))
             is_prescribed.append(jumps.prescribed)
         for A, scale, is_zero_row in zip(blocks, self._heat.vectors(), is_prescribed, strict=True):

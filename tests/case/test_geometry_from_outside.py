@@ -19,7 +19,7 @@ from app.laws.densities import ModulusField
 from app.schema.paths import File
 from app.schema.units import Modulus, PositiveLength
 from meshes.data import assemble, exterior_facets, number
-from meshes.gmsh_child import session, tetrahedra
+from meshes.gmsh_session import session, tetrahedra
 
 
 class Column(Shape):

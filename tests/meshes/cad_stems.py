@@ -9,7 +9,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from meshes.gmsh_child import session
+from meshes.gmsh_session import session
 
 # Half-width, half-depth, corner radius, medial shift and level of sections from the tip up; level
 # and angle of the neck's axis on the stem's, radii of its root and end, its length [mm, deg].

@@ -18,7 +18,7 @@ from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError, InputError
 from meshes import quality
 from meshes.data import exterior_facets, interface_facets
-from meshes.gmsh_child import session
+from meshes.gmsh_session import session
 from meshes.layered_surfaces import LayeredSurfaces
 from tests.meshes import cad_stems
 

@@ -16,7 +16,7 @@ from app.case.geometries import Block, Blocks, MeshFile, MeshOptions
 from app.foundation.errors import GeometryError
 from app.soundness import well_posedness
 from meshes.data import MeshData, cell_volumes, region_volumes
-from meshes.gmsh_child import session
+from meshes.gmsh_session import session
 from tests import support
 
 CUBE = Blocks(blocks=(Block(name="cube", size=["10 mm", "10 mm", "10 mm"]),))

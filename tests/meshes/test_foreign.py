@@ -19,7 +19,7 @@ from app.case.geometries import Cylinders, MeshFile, MeshOptions
 from app.foundation.errors import InputError
 from meshes.data import EDGES, MeshData, boundary_areas, region_volumes
 from meshes.distribute import distribute
-from meshes.gmsh_child import session
+from meshes.gmsh_session import session
 
 ROD = Cylinders(
     stem_radius="7 mm",

@@ -23,7 +23,7 @@ from app.mesh_files import named
 from app.mesh_files.vtu import lz4_decompress
 from app.soundness.well_posedness import judge, mesh_parts
 from meshes.data import boundary_areas, region_volumes
-from meshes.gmsh_child import session
+from meshes.gmsh_session import session
 from meshes.pieces import touching_without_shared_nodes
 from tests.meshes.spellings import (
     ALL_FREE,

@@ -33,7 +33,7 @@ from meshes.data import (
     interface_facets,
     region_volumes,
 )
-from meshes.gmsh_child import MILLIMETRES, session
+from meshes.gmsh_session import MILLIMETRES, session
 from meshes.pieces import pieces_of_mesh
 from tests import support
 from tests.robustness.faulty import DAMAGES, damage
@@ -256,7 +256,7 @@ def test_cache_that_cannot_be_written_is_skipped(caplog: pytest.LogCaptureFixtur
 
 def test_cache_distinguishes_cases() -> None:
     keys = {
-        cache.key(geometry, o)
+        cache.mesh_hash(geometry, o)
         for geometry in (ROD, ROD.model_copy(update={"length": 21.0}), STACK)
         for o in (options(2.0), options(2.0, far_size="3 mm"), options(2.0, curved=True))
     }

@@ -18,7 +18,7 @@ from app.foundation import confined
 from app.foundation.errors import GeometryError, InputError
 from meshes import cache
 from meshes.data import boundary_areas, facet_areas, interface_facets, region_volumes
-from meshes.gmsh_child import session
+from meshes.gmsh_session import session
 from tests import support
 from tests.cases.gmsh_scripts import CASE, LAYERS, script
 
@@ -127,7 +127,7 @@ def test_scripts_are_cached_by_their_content(tmp_path: Path) -> None:
     coarse = options(size="1 mm")
 
     def key(mesh: MeshOptions = coarse) -> str:
-        return cache.key(MeshFile(path=path), mesh)
+        return cache.mesh_hash(MeshFile(path=path), mesh)
 
     keys = [key(), key(options(size="2 mm")), key(options(size="1 mm", curved=True))]
     for name, text in (

@@ -40,7 +40,7 @@ from meshes.data import (
 )
 from meshes.femur import PATCH_RADIUS
 from meshes.femur_bone import FemurBone
-from meshes.gmsh_child import session
+from meshes.gmsh_session import session
 from meshes.layered_surfaces import LayeredSurfaces as Surfaces
 from tests import support
 from tests.patient.bones import cut, turned

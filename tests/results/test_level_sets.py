@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.results.level_sets import positive_fraction
-from meshes.mantle import distance
+from meshes.nearest_facets import distance
 
 
 def test_level_sets_part_of_a_tetrahedron() -> None:

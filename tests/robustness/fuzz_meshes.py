@@ -19,7 +19,7 @@ from typing import Any
 import meshes
 from app.case.case import load
 from app.foundation.errors import GeometryError, InputError
-from meshes.gmsh_child import session
+from meshes.gmsh_session import session
 from tests.robustness.fuzz import search
 
 MEMORY = 4 << 30

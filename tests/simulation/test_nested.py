@@ -17,7 +17,7 @@ from app.simulation import model as models
 from app.simulation.model import Model
 from app.stepping import coarse_start, load_steps
 from app.system.timing import Timing
-from meshes.mantle import nearest
+from meshes.nearest_facets import nearest
 from tests import support
 from tests.cases.nested_stem import ALWAYS, STEM, TURNS, go
 

@@ -10,7 +10,7 @@ import pytest
 
 from app.foundation.captured import captured
 from app.foundation.errors import GeometryError
-from meshes.gmsh_child import CROSSING_TEXT, session
+from meshes.gmsh_session import CROSSING_TEXT, session
 
 
 def test_captured_output_of_a_library_is_logged(
