@@ -11,7 +11,7 @@ from app.case.summary import Summary
 from app.foundation.verdict import Severity, Verdict
 from app.laws.loads import Load
 from app.laws.motions import Motion
-from app.results.verdicts import judge
+from app.results.verdicts import result_verdict
 from app.schema.yaml_file import Fault
 
 
@@ -59,7 +59,7 @@ def _heat(case: Case) -> Iterable[Fault]:
             yield Fault(("interfaces", name, "conductance"), message)
 
 
-@judge
+@result_verdict
 def _last_cycles(summary: Summary) -> Iterable[Verdict]:
     """Difference of the last two cycles of each interface."""
     for numbers in summary.get("cycles", {}).values():

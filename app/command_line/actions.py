@@ -90,14 +90,16 @@ def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
     _refuse_path(case)
     memory.check(case.file, case.config)
     size = cost.estimated_size(case.config, memory.available())
-    notes = [*case.file.notes, *preview.warnings(case.config)]
+    notes = [*case.file.notes, *preview.input_notes(case.config)]
     output = case.config.output
     if meshed or output.probes or output.paths:
         data = mesh(case)
         with stack_needed():
             from app.soundness import well_posedness
         with case.file.placing():
-            notes += well_posedness.judge(case.config, well_posedness.mesh_parts(case.config, data))
+            notes += well_posedness.check_on_mesh(
+                case.config, well_posedness.mesh_parts(case.config, data)
+            )
         size = cost.exact_size(case.config, data, memory.available())
         room = case.config.geometry.room_details()
         size += f"\n  room around the stem: {room}" if room else ""

@@ -10,11 +10,11 @@ from app.case.checks import check
 from app.case.summary import Numbers, Summary, added_section
 from app.fatigue.laws import fatigue_of, level_of, stem_test_of
 from app.foundation.verdict import Severity, Verdict, note
-from app.results.verdicts import judge
+from app.results.verdicts import result_verdict
 from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault
-from app.soundness.doubts import doubter
-from app.soundness.preview import from_memory, warner
+from app.soundness.preview import from_memory, input_note
+from app.soundness.result_notes import result_note
 
 
 @check("fatigue", "stages")
@@ -74,7 +74,7 @@ def _head(case: Case) -> Iterable[Fault]:
         yield Fault(("stem_test", "head"), message)
 
 
-@warner
+@input_note
 def _from_memory(case: Case) -> Iterable[Verdict]:
     """S-N laws from memory."""
     fatigue = fatigue_of(case)
@@ -85,7 +85,7 @@ def _from_memory(case: Case) -> Iterable[Verdict]:
         yield from from_memory("stem_test.law", test.law.source)
 
 
-@doubter
+@result_note
 def _beyond_measured(case: Case, numbers: Summary) -> Iterable[Verdict]:
     """S-N laws beyond the stresses in which they were measured."""
     fatigue = fatigue_of(case)
@@ -102,7 +102,7 @@ def _beyond_measured(case: Case, numbers: Summary) -> Iterable[Verdict]:
             yield note(message, f"fatigue.laws.{name}")
 
 
-@judge
+@result_verdict
 def _life_and_strength(summary: Summary) -> Iterable[Verdict]:
     """Life of the region that tires, and the probability that each region breaks."""
     laws = added_section(summary, "fatigue")

@@ -168,7 +168,7 @@ class Controller:
             return dt
         return until_events[0] if dt >= until_events[0] * (1 - _SAME_STEP) else until_events[0] / 2
 
-    def judge(self, dt: float, ratio: float) -> bool:
+    def accepts(self, dt: float, ratio: float) -> bool:
         """Return True if a step is accepted, by its error over the tolerance; choose the next."""
         ratio = max(ratio, 1e-10)
         factor = _AIM * ratio**-self._power

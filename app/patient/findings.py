@@ -8,14 +8,14 @@ from app.case.case import Case
 from app.foundation.verdict import Verdict, note
 from app.patient.geometry import Patient
 from app.patient.image_modulus import ImageModulus
-from app.soundness.preview import warner
+from app.soundness.preview import input_note
 from meshes.placement import lengthening
 
 # Change of the leg length above which a note is given [mm]: patients notice it.
 DIFFERENT_LEG = 10.0
 
 
-@warner
+@input_note
 def _bone(case: Case) -> Iterable[Verdict]:
     """Notes on a rare size or shape of the bone, on an open end, and on a continued shaft."""
     if isinstance(case.geometry, Patient):
@@ -46,7 +46,7 @@ def _bone(case: Case) -> Iterable[Verdict]:
             yield note(f"{note_text}, but continues the last sections", "geometry.bone.extend")
 
 
-@warner
+@input_note
 def _images(case: Case) -> Iterable[Verdict]:
     """Notes on implausible numbers of images; each once, where several regions have one image."""
     fields = [region.modulus_field for region in case.regions.values() if region.modulus_field]

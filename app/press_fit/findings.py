@@ -16,9 +16,9 @@ from app.case.quantities import TABLE, in_print
 from app.case.summary import Numbers, Summary
 from app.foundation.verdict import Severity, Verdict, note
 from app.laws.interface_laws import InterfaceLaw, SurfaceZone, insertion_stages
-from app.results.verdicts import judge
+from app.results.verdicts import result_verdict
 from app.schema.yaml_file import Fault
-from app.soundness.preview import warner
+from app.soundness.preview import input_note
 
 # Strain at which bone yields [-], from memory: check.
 YIELD = 0.007
@@ -114,7 +114,7 @@ def _most_interference(part: InterfaceLaw | SurfaceZone) -> tuple[str, float]:
     return "gap", -gap if isinstance(gap, float) else 0.0
 
 
-@warner
+@input_note
 def _interference(case: Case) -> Iterable[Verdict]:
     """Notes on interferences of bone that are far above the range in which it is elastic."""
     bones = {*case.of_tissue("bone")}
@@ -134,7 +134,7 @@ def _interference(case: Case) -> Iterable[Verdict]:
                 yield note(message, f"{place}.{key}", f"usual: {usual}, along the normal")
 
 
-@judge
+@result_verdict
 def _beyond_yield(summary: Summary) -> Iterable[Verdict]:
     """Bone strained by the insertion beyond what it bears."""
     interfaces = summary.get("interfaces", {})
@@ -157,7 +157,7 @@ def _yielding(summary: Summary) -> list[tuple[str, str]]:
     return [(n, key) for n, q in regions.items() for key in STRAINS if q.get(key, 0.0) > YIELD]
 
 
-@judge
+@result_verdict
 def _ingrowth(summary: Summary) -> Iterable[Verdict]:
     """Areas of motion, compared with published limits of ingrowth, which are of oscillation.
 
@@ -189,7 +189,7 @@ def _ingrowth(summary: Summary) -> Iterable[Verdict]:
         yield Verdict(in_print(message), "ingrowth", severity=Severity.PLAIN)
 
 
-@judge
+@result_verdict
 def _raised_collar(summary: Summary) -> Iterable[Verdict]:
     """Collars that the insertion lifts off the bone."""
     collar = summary.get("interfaces", {}).get(ON_CUT, {})

@@ -12,7 +12,7 @@ from app.remodelling.laws import remodelling_of
 from app.remodelling.stages import STAGES
 from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault
-from app.soundness.preview import warner
+from app.soundness.preview import input_note
 
 
 @check("geometry")
@@ -57,7 +57,7 @@ def _stages_and_regions(case: Case) -> Iterable[Fault]:
                     yield Fault(("regions", name), message)
 
 
-@warner
+@input_note
 def _no_lazy_zone(case: Case) -> Iterable[Verdict]:
     """Bone that follows every difference of its stimulus."""
     law = remodelling_of(case)

@@ -47,14 +47,14 @@ STRAINS = (500.0, 2500.0)
 MOTION = 5.0
 
 
-Judge = Callable[[Summary], Iterable[Verdict]]
+ResultVerdict = Callable[[Summary], Iterable[Verdict]]
 # Functions of other packages that return verdicts.
-_JUDGES: list[Judge] = []
+_RESULT_VERDICTS: list[ResultVerdict] = []
 
 
-def judge(function: Judge) -> Judge:
+def result_verdict(function: ResultVerdict) -> ResultVerdict:
     """Register a function that returns verdicts on the numbers of ``summary.json``."""
-    _JUDGES.append(function)
+    _RESULT_VERDICTS.append(function)
     return function
 
 
@@ -116,7 +116,7 @@ def of_numbers(summary: Summary) -> list[Verdict]:
     if slipping:
         message = f"larger than a facet on {' and '.join(slipping)}: small sliding does not hold"
         verdicts.append(Verdict(message, "slip", "use `sliding: finite`"))
-    for of_package in _JUDGES:
+    for of_package in _RESULT_VERDICTS:
         verdicts += of_package(summary)
     verdicts += _physiology(summary)
     verdicts.append(_mesh_and_step(summary))

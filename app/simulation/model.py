@@ -162,7 +162,9 @@ class Model:
             self.tagged, self.mesh_hash, self.parts = self._mesh(comm)
             # Checked first, because matrices of unheld bodies cannot be factorized.
             parts = self.parts if judged else None
-            self.notes = on_root(comm, lambda: parts and well_posedness.judge(case, parts)) or []
+            self.notes = (
+                on_root(comm, lambda: parts and well_posedness.check_on_mesh(case, parts)) or []
+            )
         with timing.phase("assemble"):
             self.scene: Scene = build_scene(case)
             self.analysis, self.mechanical_path = self._assemble()

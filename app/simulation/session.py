@@ -35,7 +35,7 @@ from app.simulation import accuracy, bone_influence, checkpoint, finished_runs
 from app.simulation.checkpoint import CheckpointWriter
 from app.simulation.model import Model
 from app.simulation.recorder import OnAccepted, Recorder
-from app.soundness import doubts, preview
+from app.soundness import preview, result_notes
 from app.system import form_cache, ranks, stopping
 from app.system.folders import FAILED, claim, prepare_run, remove, saved, write_text
 from app.system.layout import count, several
@@ -127,7 +127,7 @@ def run(
         begin=begin,
         started=started,
     )
-    setup.log_notes([*case.file.notes, *preview.warnings(case.config)])
+    setup.log_notes([*case.file.notes, *preview.input_notes(case.config)])
     with case.file.placing(), ExitStack() as stack:
         on_root(comm, lambda: stack.enter_context(claim(output)), share=False)
         if case.config.variations:
@@ -238,7 +238,7 @@ class _CaseRun:
             runs=max(1, len(loaded.variations)),
         )
         self._model = setup.model = model
-        self._notes = [*preview.warnings(case), *model.notes]
+        self._notes = [*preview.input_notes(case), *model.notes]
         setup.log_notes(self._notes)
         unused_options = unused(case.solver.petsc | setup.options)
         if unused_options:
@@ -317,7 +317,7 @@ class _CaseRun:
         with setup.timing.phase("output"):
             self._recorder.flush()
             summary = self._recorder.summary("converged", total)
-        notes = [*self._notes, *doubts.doubts(case, summary), *model.floating_bodies()]
+        notes = [*self._notes, *result_notes.of_results(case, summary), *model.floating_bodies()]
         verdicts.record(summary, notes)
         if verdicts.reasons_not_to_use(summary):
             summary["status"] = UNUSABLE

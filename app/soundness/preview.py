@@ -228,14 +228,14 @@ MOST_FRICTION = 5.0
 MOST_PROUD = 15.0
 
 
-Warn = Callable[[Case], Iterable[Verdict]]
+InputNote = Callable[[Case], Iterable[Verdict]]
 # Functions of other packages that return notes on the input of a case.
-_WARNERS: list[Warn] = []
+_INPUT_NOTES: list[InputNote] = []
 
 
-def warner(function: Warn) -> Warn:
+def input_note(function: InputNote) -> InputNote:
     """Register a function of a case that returns notes on allowed but doubtful input."""
-    _WARNERS.append(function)
+    _INPUT_NOTES.append(function)
     return function
 
 
@@ -244,7 +244,7 @@ def from_memory(place: str, source: str | None) -> list[Verdict]:
     return [note(str(source), place)] if MEMORY in str(source) else []
 
 
-def warnings(case: Case) -> list[Verdict]:
+def input_notes(case: Case) -> list[Verdict]:
     """Return notes on allowed but doubtful input for `mantle check` and the log."""
     notes = case.geometry.former_keys
     acts = [
@@ -265,7 +265,7 @@ def warnings(case: Case) -> list[Verdict]:
     limits = dict.fromkeys(("temperature", "ambient"), TEMPERATURES)
     for name, condition in case.heat.items():
         notes += _far_off(f"heat.{name}", condition, limits)
-    for warn in _WARNERS:
+    for warn in _INPUT_NOTES:
         notes += warn(case)
     return notes
 

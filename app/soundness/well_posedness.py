@@ -33,7 +33,7 @@ from app.soundness.bodies_on_mesh import (
     load_history_of,
     loosely_held_bodies,
 )
-from app.soundness.doubts import STRAIN, modulus
+from app.soundness.result_notes import STRAIN, modulus
 from app.system.layout import point_text
 from meshes import location
 from meshes.data import boundary_areas, boundary_facets, interface_facets
@@ -76,12 +76,12 @@ Check = Callable[[Case, MeshPieces], Iterable[Verdict]]
 
 
 def mesh_parts(case: Case, data: MeshData) -> MeshPieces:
-    """Parts of a mesh that `judge` examines."""
+    """Parts of a mesh that `check_on_mesh` examines."""
     faces = {s.boundary for s in case.supports.values() if s.normal == "face"}
     return pieces_of_mesh(data, {s.boundary for s in case.supports.values()}, faces, case.faces)
 
 
-def judge(case: Case, parts: MeshPieces) -> list[Verdict]:
+def check_on_mesh(case: Case, parts: MeshPieces) -> list[Verdict]:
     """Return notes on a case on its mesh.
 
     Raises:

@@ -198,7 +198,7 @@ class CreepSteps:
             return Step(done, end, remaining, ends_increment=True)
         return Step(done, done + self._stepper.length, self._stepper.length, ends_increment=False)
 
-    def judge(self, step: Step, error: float) -> bool:
+    def accepts(self, step: Step, error: float) -> bool:
         """Accept a step within its tolerance; of equal steps, every one that was solved."""
         if self._stage.adaptive:
             self._stepper.length = step.length * GROWTH.factor(error)

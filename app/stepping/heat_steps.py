@@ -186,9 +186,9 @@ class StepsByError:
         end_fraction = min((end - self._begin) / self._stage.seconds, 1.0)
         return Step(begin_fraction, end_fraction, length, ends_increment)
 
-    def judge(self, step: Step, error: float) -> bool:
+    def accepts(self, step: Step, error: float) -> bool:
         """Accept a step within its tolerance."""
         if math.isinf(error):
             self._controller.failed(step.length)
             return False
-        return self._controller.judge(step.length, error)
+        return self._controller.accepts(step.length, error)

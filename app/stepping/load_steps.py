@@ -293,7 +293,7 @@ class LoadSteps:
         """Return the next step."""
         return self.progress.next(self._path.increment)
 
-    def judge(self, step: Step, error: float) -> bool:
+    def accepts(self, step: Step, error: float) -> bool:
         """Accept a solved step; lengthen the next one if it took few iterations."""
         if math.isinf(error):
             return False
@@ -416,7 +416,7 @@ class EnergySteps:
         progress = self.progress
         return Step(progress.done, progress.done, progress.energy, ends_increment=False)
 
-    def judge(self, step: Step, error: float) -> bool:
+    def accepts(self, step: Step, error: float) -> bool:
         """Accept a step that was solved before the end of the path."""
         return not math.isinf(error) and self._reached < 1.0
 

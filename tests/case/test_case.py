@@ -222,7 +222,7 @@ def test_case_former_keys_of_a_stem_are_read_with_a_note() -> None:
     femur = case.config.geometry
     assert (femur.tip_z, femur.stem.length, femur.stem.section_depth) == (-101.0, 130.0, 9.0)
     assert (femur.stem.head_height, femur.stem.neck_diameter) == (31.0, 12.0)
-    notes = [str(n) for n in preview.warnings(case.config) if "has a new name" in str(n)]
+    notes = [str(n) for n in preview.input_notes(case.config) if "has a new name" in str(n)]
     assert len(notes) == len(old)
     expected = "note: geometry.stem_length: the key 'stem_length' has a new name; use stem.length"
     assert expected in notes

@@ -185,7 +185,7 @@ def test_keys_without_effect_are_noted_where_they_are_given() -> None:
         "interfaces={stem_bone: {kind: contact, friction_coefficient: 0.5, gap_history: [1]}}",
     )
     case = load(support.CONFIGS / "stance.yaml", given).config
-    notes = {n.where: str(n) for n in preview.warnings(case)}
+    notes = {n.where: str(n) for n in preview.input_notes(case)}
     expected = {"geometry.stem.tip_rounding", "mesh.far_size", "interfaces.stem_bone.gap_history"}
     assert {where for where, text in notes.items() if "has no effect" in text} == expected
     assert "the end of the stem is flat above a void of 5 mm" in notes["geometry.stem.tip_rounding"]
@@ -193,7 +193,7 @@ def test_keys_without_effect_are_noted_where_they_are_given() -> None:
 
 def test_keys_without_effect_are_not_noted_in_a_case_that_mantle_wrote(tmp_path: Path) -> None:
     (tmp_path / "case.yaml").write_text(dump(load(support.CONFIGS / "pressed.yaml").config))
-    notes = preview.warnings(load(tmp_path / "case.yaml").config)
+    notes = preview.input_notes(load(tmp_path / "case.yaml").config)
     assert not [n.where for n in notes if "has no effect" in str(n)]
 
 

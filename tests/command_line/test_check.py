@@ -157,8 +157,8 @@ def test_check_estimates_temperature_unknowns(capsys: pytest.CaptureFixture[str]
 )
 def test_check_notes_implausible_materials(change: str) -> None:
     cure = CONFIGS / "cure.yaml"
-    assert preview.warnings(load(cure).config) == []
-    (note,) = preview.warnings(load(cure, [change]).config)
+    assert preview.input_notes(load(cure).config) == []
+    (note,) = preview.input_notes(load(cure, [change]).config)
     assert note.text.startswith(f"{change.partition('=')[0]} is ")
     assert note.text.endswith("; is the unit wrong?")
 
@@ -207,11 +207,11 @@ BONE = (
 )
 def test_check_notes_locking(region: str, locks: bool) -> None:
     changes = [f"regions.cement={region}", "interfaces={}"]
-    notes = [v.text for v in preview.warnings(load(CONFIGS / "blocks.yaml", changes).config)]
+    notes = [v.text for v in preview.input_notes(load(CONFIGS / "blocks.yaml", changes).config)]
     assert [m.split(" is ")[0] for m in notes] == (["regions.cement"] if locks else [])
     assert all("lock" in m and "mesh.order: 2" in m for m in notes)
     second = load(CONFIGS / "blocks.yaml", [*changes, "mesh.order=2"]).config
-    assert preview.warnings(second) == []
+    assert preview.input_notes(second) == []
 
 
 def test_mesh_command_writes_mesh_and_picture(
@@ -268,7 +268,7 @@ def test_check_accepts_a_press_fit_by_penalty() -> None:
     ]
     for value, noted in (("0 mm", True), ("-0.01 mm", False), ("-0.01 * z", False)):
         case = load(CONFIGS / "cylinders.yaml", [*still, f"{gap}{value}}}"]).config
-        assert any("nothing acts" in note.text for note in preview.warnings(case)) == noted
+        assert any("nothing acts" in note.text for note in preview.input_notes(case)) == noted
 
 
 @pytest.mark.parametrize(
@@ -282,7 +282,7 @@ def test_check_finds_that_a_press_fit_alone_acts_on_the_model(press_fit: str) ->
         f"interfaces.stem_cement={law}",
     ]
     case = load(CONFIGS / "cylinders.yaml", changes).config
-    assert not any("nothing acts" in note.text for note in preview.warnings(case))
+    assert not any("nothing acts" in note.text for note in preview.input_notes(case))
 
 
 @pytest.mark.parametrize(

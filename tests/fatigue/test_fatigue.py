@@ -16,7 +16,7 @@ from app.foundation.arrays import Floats
 from app.foundation.verdict import recorded
 from app.report import step_curves
 from app.results.verdicts import notes_of
-from app.soundness import doubts, preview
+from app.soundness import preview, result_notes
 from tests import support
 
 SPECTRUM = (support.CONFIGS / "verification/spectrum.yaml").read_text()
@@ -116,11 +116,11 @@ def test_fatigue_life_is_reported_as_a_range(tmp_path: Path) -> None:
     (life,) = (v.text for v in recorded(s) if v.where == "fatigue")
     assert "the life is not shown without an uncertainty (over v)" in life
     case = support.case(SPECTRUM)
-    assert not preview.warnings(case)
+    assert not preview.input_notes(case)
     two = support.run(SPECTRUM, tmp_path / "two", *QUIET, "output.error=true").summary
     (life,) = (v.text for v in recorded(two) if v.where == "fatigue")
     assert "lasts 3.3 to 21 years, over power, logarithmic and mesh: for comparison" in life
-    assert not [n for n in doubts.doubts(case, two) if "measured" in n.text]
+    assert not [n for n in result_notes.of_results(case, two) if "measured" in n.text]
     q = {"damage_p99": 0.5, "damage_p99_error": 0.3}
     assert "lasts 1.2 to 5 years, over v and mesh" in findings.life({"v": q})
     open_end = findings.life({"v": q | {"damage_p99_error": 0.6}})

@@ -13,7 +13,7 @@ from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
 from app.laws.supports import Roller
 from app.results.balance import Balance
-from app.soundness.well_posedness import judge, mesh_parts
+from app.soundness.well_posedness import check_on_mesh, mesh_parts
 from app.verification.changed_meshes import CHANGES, ROTATION
 from meshes.distribute import TaggedMesh, distribute
 from tests import support
@@ -242,6 +242,6 @@ def test_oblique_rollers_free_motions_of_normals(y: str, expected: str) -> None:
     parts = mesh_parts(this, meshes.build(this.geometry, this.mesh, None))
     if expected:
         with pytest.raises(InputError, match=expected):
-            judge(this, parts)
+            check_on_mesh(this, parts)
     else:
-        assert not judge(this, parts)
+        assert not check_on_mesh(this, parts)

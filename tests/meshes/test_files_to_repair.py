@@ -115,7 +115,7 @@ def test_mesh_file_cells_listed_inside_out_are_reoriented_with_note(
     back = read(tmp_path, replace(data, cells=cells))
     assert region_volumes(back) == pytest.approx({"cube": 1000.0})
     case = support.case(CASE.format(path=tmp_path / "a.msh"))
-    (note,) = well_posedness.judge(case, well_posedness.mesh_parts(case, back))
+    (note,) = well_posedness.check_on_mesh(case, well_posedness.mesh_parts(case, back))
     words = f"{turned.sum()} of {len(cells)} cells of the file list their nodes inside out"
     assert words in note.text
     assert read(tmp_path, data).notes["messages"] == []

@@ -21,7 +21,7 @@ from app.case.gmsh_header import content
 from app.foundation.errors import GeometryError, MantleError
 from app.mesh_files import named
 from app.mesh_files.vtu import lz4_decompress
-from app.soundness.well_posedness import judge, mesh_parts
+from app.soundness.well_posedness import check_on_mesh, mesh_parts
 from meshes.data import boundary_areas, region_volumes
 from meshes.gmsh_session import session
 from meshes.pieces import touching_without_shared_nodes
@@ -953,7 +953,7 @@ def test_mesh_files_coincident_bodies_without_common_nodes_have_a_note(
     data = meshes.build(MeshFile(path=tmp_path / "a.msh"), MeshOptions(size="1 mm"))
     (tmp_path / "case.yaml").write_text(text)
     case = load(tmp_path / "case.yaml").config
-    texts = [v.text for v in judge(case, mesh_parts(case, data))]
+    texts = [v.text for v in check_on_mesh(case, mesh_parts(case, data))]
     notes = [text for text in texts if "touch over" in text]
     assert len(notes) == noted
     if noted:

@@ -15,7 +15,7 @@ from app.case import case as case_file
 from app.foundation.errors import InputError
 from app.patient import first_case
 from app.patient.geometry import Patient
-from app.soundness.preview import warnings
+from app.soundness.preview import input_notes
 from meshes import femur_bone, room
 from meshes.plane_sections import centroid
 from tests.patient.scans import HIP, NUMBERS, in_patient, scan
@@ -135,7 +135,7 @@ def test_first_case_notes_a_ct_that_is_moved(tmp_path: Path) -> None:
     labels = folder / "labels.nii.gz"
     path, assumed = first_case.write(folder / "hip", labels, folder / "moved.nii.gz", None, None)
     assert "moved.nii.gz: only" in assumed[-1] and "mirrored or moved" in assumed[-1]
-    notes = [v.what for v in warnings(case_file.load(path).config)]
+    notes = [v.what for v in input_notes(case_file.load(path).config)]
     assert any("mirrored or moved" in note for note in notes)
 
 

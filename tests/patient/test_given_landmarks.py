@@ -124,5 +124,5 @@ def test_given_landmarks_side_against_the_image_is_noted(tmp_path: Path, mirrore
     bone = {"image": "labels.nii.gz", "label": NUMBERS["left"]}
     geometry = patient(folder, bone=bone, canal={"ream": "broach"})
     case = support.case("base: stance").model_copy(update={"geometry": geometry})
-    notes = [v.what for v in preview.warnings(case) if "by the axes of the image" in v.what]
+    notes = [v.what for v in preview.input_notes(case) if "by the axes of the image" in v.what]
     assert bool(notes) == mirrored

@@ -474,6 +474,6 @@ def test_patient_leg_length_is_noted(folder: Path, height: str, noted: bool) -> 
     geometry = patient(folder, stem={"head_height": height}, canal={"ream": "broach"})
     case = support.case("base: stance").model_copy(update={"geometry": geometry})
     longer = lengthening(geometry)
-    notes = [v.what for v in preview.warnings(case) if "the leg becomes" in v.what]
+    notes = [v.what for v in preview.input_notes(case) if "the leg becomes" in v.what]
     assert (abs(longer) > 10.0) == noted
     assert notes == ([f"the leg becomes {longer:.0f} mm longer"] if noted else [])

@@ -16,7 +16,7 @@ from app.laws.values import NoStem, gap_settled
 from app.press_fit.findings import _beyond_yield, _ingrowth, _raised_collar
 from app.results.closing_lines import headline
 from app.results.hip import of_collar
-from app.results.verdicts import _JUDGES
+from app.results.verdicts import _RESULT_VERDICTS
 from app.scene.scene import build_scene
 from app.soundness import preview
 from configs import FOLDER as CONFIGS
@@ -218,10 +218,10 @@ def test_press_fit_collar_that_the_flanks_pull_has_no_share() -> None:
 )
 def test_press_fit_notes_an_interference_that_bone_does_not_bear(key: str, place: str) -> None:
     case = load(CONFIGS / "collar.yaml", (f"interfaces.{key}",)).config
-    (text,) = (str(v) for v in preview.warnings(case) if "not crushed" in v.what)
+    (text,) = (str(v) for v in preview.input_notes(case) if "not crushed" in v.what)
     assert place in text
     usual = load(CONFIGS / "collar.yaml", ("interfaces.collar_bone.gap=-0.016 mm",)).config
-    assert not [v for v in preview.warnings(usual) if "not crushed" in v.what]
+    assert not [v for v in preview.input_notes(usual) if "not crushed" in v.what]
 
 
 def test_press_fit_strain_after_the_insertion_is_that_of_the_pressure(tmp_path: Path) -> None:
@@ -319,7 +319,7 @@ def test_press_fit_cycle_tables_act_after_it(tmp_path: Path) -> None:
     sizes = scene.force_sizes(np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0]))["hip"]
     assert sizes == pytest.approx([0, 0, 25, 50, 10, 50])
     sudden = load(path, (*of_case[:1], "stages=[{name: press}, {name: gait}]")).config
-    (note,) = (v for v in preview.warnings(sudden) if "cycle begins" in v.what)
+    (note,) = (v for v in preview.input_notes(sudden) if "cycle begins" in v.what)
     assert "first stage after the insertion" in note.what and "{name: rise}" in note.cure
     with pytest.raises(InputError, match=r"end of the last stage; .* \{name: rise\}, \{name: gait"):
         load(path, (*of_case[:1], "stages=[{name: gait}]"))
@@ -378,7 +378,9 @@ def test_press_fit_says_that_bone_yields_before_the_ingrowth() -> None:
     assert hoop.cure == "reduce the interference of stem_bone"
     (ingrowth,) = _ingrowth(summary)
     assert "the insertion strains bone beyond its yield" in ingrowth.what
-    assert _JUDGES.index(_beyond_yield) < _JUDGES.index(_ingrowth)  # the warning is printed first
+    assert _RESULT_VERDICTS.index(_beyond_yield) < _RESULT_VERDICTS.index(
+        _ingrowth
+    )  # the warning is printed first
 
 
 def test_press_fit_shear_obeys_the_elastic_layer(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from app.remodelling.laws import remodelling_of
 from app.results.reading import Run
 from app.scene.scene import build_scene
 from app.simulation.session import run
-from app.soundness.preview import warnings
+from app.soundness.preview import input_notes
 from tests import support
 from tests.cases.blocks import PULLED, bar
 
@@ -158,8 +158,8 @@ def test_remodelling_interpolates_from_another_mesh() -> None:
 
 
 def test_remodelling_notes_a_missing_lazy_zone() -> None:
-    assert not warnings(load(CASE).config)
-    (note,) = warnings(load(CASE, ["remodelling.lazy_zone=0"]).config)
+    assert not input_notes(load(CASE).config)
+    (note,) = input_notes(load(CASE, ["remodelling.lazy_zone=0"]).config)
     assert "remodelling.lazy_zone is 0: if the modulus rises faster" in note.text
 
 

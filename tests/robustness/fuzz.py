@@ -207,7 +207,7 @@ def read(path: Path, overrides: list[str]) -> None:
         loaded = load(path, overrides)
         case = loaded.config
         text = preview.describe(case, loaded.file.data) + cost.estimated_size(case)
-        text += "".join(map(str, preview.warnings(case))) + dump(case) + str(cost.seconds(case))
+        text += "".join(map(str, preview.input_notes(case))) + dump(case) + str(cost.seconds(case))
         text.encode()
 
 

@@ -167,7 +167,7 @@ def test_fibres_refuse_an_axis_inside_the_region(
     case = support.case(HOT, *changes) if of_heat else ring("radial", *changes)
     computed = well_posedness.mesh_parts(case, build(case))
     if not refused:
-        well_posedness.judge(case, computed)
+        well_posedness.check_on_mesh(case, computed)
         return
     with pytest.raises(InputError, match=rf"^{key}: its axis meets the region, e.g. at \(.*axis o"):
-        well_posedness.judge(case, computed)
+        well_posedness.check_on_mesh(case, computed)

@@ -75,7 +75,7 @@ def judged(text: str, *overrides: str) -> list[str]:
     case = support.case(text, *overrides)
     parts = well_posedness.mesh_parts(case, build(case.geometry, case.mesh))
     assert parts.doubled or case.geometry.kind == "file"  # the poles of both spheres
-    return [v.text for v in well_posedness.judge(case, parts)]
+    return [v.text for v in well_posedness.check_on_mesh(case, parts)]
 
 
 def test_finite_sliding_holds_a_body_with_coincident_nodes() -> None:
@@ -118,7 +118,7 @@ def test_finite_sliding_refuses_supports_on_its_nodes() -> None:
     tags = data.boundaries["block_bottom"] + data.boundaries["block_top"]
     joined = replace(data, boundaries={**data.boundaries, "block_bottom": tags})
     with pytest.raises(InputError, match=r"interfaces.d: .* nodes of block_top,.* interfaces.b;"):
-        well_posedness.judge(case, well_posedness.mesh_parts(case, joined))
+        well_posedness.check_on_mesh(case, well_posedness.mesh_parts(case, joined))
 
 
 def drawn(*overrides: str, plate: float = 0.0, step: float = 0.0) -> support.Solved:

@@ -11,7 +11,7 @@ from tests.support import CONFIGS
 
 
 def texts(case: Case) -> list[str]:
-    return [v.text for v in preview.warnings(case)]
+    return [v.text for v in preview.input_notes(case)]
 
 
 def test_preview_notes_input_without_effect() -> None:

@@ -20,7 +20,7 @@ from app.foundation.errors import ConvergenceError, GeometryError, InputError
 from app.numerics.newton import ActiveSet
 from app.numerics.rigid_motions import describe, rigid_modes
 from app.simulation.model import Model
-from app.soundness import doubts, preview, well_posedness
+from app.soundness import preview, result_notes, well_posedness
 from app.soundness.bodies_on_mesh import BodiesOnMesh, gaps_of, groups_of
 from app.soundness.loose_bodies import pulled_off
 from app.system.timing import Timing
@@ -66,7 +66,9 @@ motions:
 
 def judge(case: Case, data: MeshData) -> list[str]:
     """Notes on a case on a mesh."""
-    return [v.text for v in well_posedness.judge(case, well_posedness.mesh_parts(case, data))]
+    return [
+        v.text for v in well_posedness.check_on_mesh(case, well_posedness.mesh_parts(case, data))
+    ]
 
 
 def judged(text: str, *overrides: str) -> list[str]:
@@ -130,7 +132,7 @@ def test_well_posedness_shipped_cases_have_only_expected_notes(name: str) -> Non
     case = load(CONFIGS / f"{name}.yaml").config
     # Meshes of these are made where they are run, in tests/command_line/test_run.py.
     large = case.geometry.kind in ("femur", "intact_femur") or name == "bench/stem"
-    notes = [v.text for v in preview.warnings(case)]
+    notes = [v.text for v in preview.input_notes(case)]
     notes += [] if large else judge(case, build(case))
     for note in notes:
         assert any(words in note for words in EXPECTED.get(name, ())), note
@@ -189,7 +191,7 @@ def test_well_posedness_refuses_a_loose_body(monkeypatch: pytest.MonkeyPatch) ->
     cracked = well_posedness.mesh_parts(case, data)
     assert len(groups_of(case, cracked)) == 2
     with pytest.raises(InputError) as caught:
-        well_posedness.judge(case, cracked)
+        well_posedness.check_on_mesh(case, cracked)
     apart, crack = caught.value.messages
     assert apart.startswith("interfaces.bone_metal: no facet between bone and metal; ")
     error = BodiesOnMesh(case, cracked).unheld()[0].text
@@ -214,7 +216,7 @@ def test_well_posedness_refuses_a_free_rotation() -> None:
     with pytest.raises(
         InputError, match="it is free to rotate about an axis along x, by a support"
     ):
-        well_posedness.judge(case, held)
+        well_posedness.check_on_mesh(case, held)
 
 
 def test_well_posedness_names_a_loose_piece() -> None:
@@ -353,7 +355,7 @@ def test_well_posedness_errors_have_a_place_in_the_file(
 
 @pytest.mark.parametrize("change", ["bone.youngs_modulus=17 MPa", "bone.youngs_modulus=17 TPa"])
 def test_preview_notes_moduli_wrong_by_a_thousand(change: str) -> None:
-    note = preview.warnings(support.case(TWO, f"regions.{change}"))[0].text
+    note = preview.input_notes(support.case(TWO, f"regions.{change}"))[0].text
     assert note.startswith("regions.bone.youngs_modulus is ")
     assert note.endswith("is the unit wrong?")
 
@@ -363,7 +365,7 @@ def test_preview_notes_forces_wrong_by_a_thousand(force: str) -> None:
     path = CONFIGS / "stance.yaml"
     changes = [f"loads.{n}.history=[0]" for n in load(path).config.loads if n != "hip"]
     change = f'loads.hip.force="[0, 0, -{force.replace(" ", "] ", 1)}"'
-    note = preview.warnings(load(path, [*changes, change]).config)[0].text
+    note = preview.input_notes(load(path, [*changes, change]).config)[0].text
     assert "N; is the unit wrong?" in note
 
 
@@ -380,7 +382,7 @@ def test_preview_notes_a_mesh_in_metres(tmp_path: Path) -> None:
 def test_doubts_on_large_strains() -> None:
     case = support.case(TWO)
     numbers = {"bone": {"von_mises_p99": 1200.0}, "metal": {"von_mises_p99": 1200.0}}
-    note = doubts.doubts(case, {"regions": numbers})[0].text
+    note = result_notes.of_results(case, {"regions": numbers})[0].text
     assert note.startswith("region 'bone': is strained by 7.1 %")
 
 
@@ -487,7 +489,7 @@ def test_bodies_on_mesh_only_bonded_interfaces_join_bodies() -> None:
 
 
 def test_checks_supports_of_a_region_with_a_motion() -> None:
-    notes = [v.text for v in preview.warnings(support.case(TWO + MOTION))]
+    notes = [v.text for v in preview.input_notes(support.case(TWO + MOTION))]
     text = (
         "motions.turn.rotation.cycle_table: all angles are below 0.5 degrees; are they in radians?"
     )

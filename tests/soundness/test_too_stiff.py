@@ -30,7 +30,7 @@ loads: {{tip: {{kind: force, boundary: x_max, force: [0 N, 0 N, -1 N]}}}}
 def noted(text: str) -> list[str]:
     case = support.case(text)
     parts = well_posedness.mesh_parts(case, meshes.build(case.geometry, case.mesh))
-    return [v.text for v in well_posedness.judge(case, parts)]
+    return [v.text for v in well_posedness.check_on_mesh(case, parts)]
 
 
 @pytest.mark.parametrize(

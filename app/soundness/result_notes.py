@@ -14,20 +14,20 @@ from app.laws.materials import Material
 # Strain above which small-strain elasticity holds for no material.
 STRAIN = 0.05
 
-Doubt = Callable[[Case, Summary], Iterable[Verdict]]
+ResultNote = Callable[[Case, Summary], Iterable[Verdict]]
 # Functions of other packages that return notes on the numbers of a case.
-_DOUBTERS: list[Doubt] = []
+_RESULT_NOTES: list[ResultNote] = []
 
 
-def doubter(function: Doubt) -> Doubt:
+def result_note(function: ResultNote) -> ResultNote:
     """Register a function of a case and its numbers (``summary.json``) that returns notes."""
-    _DOUBTERS.append(function)
+    _RESULT_NOTES.append(function)
     return function
 
 
-def doubts(case: Case, numbers: Summary) -> list[Verdict]:
+def of_results(case: Case, numbers: Summary) -> list[Verdict]:
     """Return notes on results: strains that are not small, stresses beyond the range of a law."""
-    notes = [verdict for doubt in _DOUBTERS for verdict in doubt(case, numbers)]
+    notes = [verdict for result_note in _RESULT_NOTES for verdict in result_note(case, numbers)]
     for name, q in numbers["regions"].items():
         creep = case.regions[name].creep
         if "creep_strain_max" in q and case.mesh.order == 1:
