@@ -66,12 +66,12 @@ class GaugeFault(ValueError):
 
     Attributes:
         key: Key of the gauge that is wrong.
-        cure: Values that are allowed.
+        remedy: Values that are allowed.
     """
 
-    def __init__(self, key: str, message: str, cure: str) -> None:
+    def __init__(self, key: str, message: str, remedy: str) -> None:
         super().__init__(message)
-        self.key, self.cure = key, cure
+        self.key, self.remedy = key, remedy
 
 
 @dataclass(frozen=True)
@@ -187,10 +187,10 @@ def _circle_fault(
     rings = np.unique(radius)
     inside = rings[rings < radius[~is_allowed].min() * (1 - ROUNDING)]
     if len(inside):
-        cure = f"expected at most about {2 * inside.max():.2g} mm there, or another place"
+        remedy = f"expected at most about {2 * inside.max():.2g} mm there, or another place"
     else:
-        cure = "expected another place"
-    return GaugeFault("diameter", message, cure)
+        remedy = "expected another place"
+    return GaugeFault("diameter", message, remedy)
 
 
 def _places(x: Floats, barycentric: Floats) -> Floats:

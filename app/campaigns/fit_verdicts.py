@@ -49,8 +49,8 @@ def _of_runs(problem: FitProblem, runs: Sequence[FitRun], outcome: Outcome) -> I
     """Verdicts on the number of runs and on failed runs."""
     if not outcome.converged:
         statement = f"the search stopped after {len(runs)} runs, before it converged"
-        cure = f"set fit.runs above {problem.fit.runs}; run the same command again to continue"
-        yield Verdict(statement, "fit.runs", cure)
+        remedy = f"set fit.runs above {problem.fit.runs}; run the same command again to continue"
+        yield Verdict(statement, "fit.runs", remedy)
     failed_runs = [run for run in runs if not run.done]
     if failed_runs:
         reasons = "; ".join(f"{run.name}: {run.message}" for run in failed_runs)
@@ -78,16 +78,16 @@ def _of_keys(
             continue
         bound_name, end = ("lower", bounds.low) if bound == "low" else ("upper", bounds.high)
         statement = f"is at its {bound_name} bound, {end}"
-        cure = f"set another '{bound}' if values beyond it are possible"
+        remedy = f"set another '{bound}' if values beyond it are possible"
         severity = Severity.WARNING if fit.targets else Severity.PLAIN
-        yield Verdict(statement, key, cure, severity)
+        yield Verdict(statement, key, remedy, severity)
 
 
 def _of_targets(problem: FitProblem, best_run: FitRun) -> Iterator[Verdict]:
     """Verdicts on targets that the best run does not reach."""
     bounded = any(at_bound(float(fraction)) for fraction in best_run.fractions)
     remedy = "widen the bounds" if bounded else "check the target and its uncertainty"
-    cure = f"{remedy}, or add a key that changes this number"
+    remedy = f"{remedy}, or add a key that changes this number"
     for name, value in zip(problem.fit.numbers, best_run.array, strict=True):
         target = problem.fit.number_targets[name]
         deviation = abs(value - target.value) / target.uncertainty
@@ -98,7 +98,7 @@ def _of_targets(problem: FitProblem, best_run: FitRun) -> Iterator[Verdict]:
                 f" {shown(name, target.uncertainty)} remain"
             )
             severity = Severity.ERROR if deviation > NOT_REACHED else Severity.WARNING
-            yield Verdict(statement, name, cure, severity)
+            yield Verdict(statement, name, remedy, severity)
 
 
 def _of_knowledge(problem: FitProblem, identified: Identifiability) -> Iterator[Verdict]:
@@ -129,8 +129,8 @@ def _of_knowledge(problem: FitProblem, identified: Identifiability) -> Iterator[
             f"{counts}the targets do not determine these keys one by one: the numbers hardly change"
             f" if {combination} change together"
         )
-        cure = "fix one of them, or add a number that depends on them in another way"
-        yield Verdict(statement, ", ".join(full_keys[k] for k in direction), cure)
+        remedy = "fix one of them, or add a number that depends on them in another way"
+        yield Verdict(statement, ", ".join(full_keys[k] for k in direction), remedy)
 
 
 def _of_influence(problem: FitProblem, derivatives: Floats, best_run: FitRun) -> Iterator[Verdict]:

@@ -364,9 +364,9 @@ def _rigid(case: CaseParts) -> Iterable[Fault]:
         if sides and law.can_part and all(rigid & set(side) for side in sides):
             regions = " and ".join(sorted(rigid & {*sides[0], *sides[1]}))
             message = f"both sides are rigid ({regions})"
-            cure = "make one side elastic"
+            remedy = "make one side elastic"
             path = ("interfaces", name)
-            yield Fault(path, message, cure=cure, code=Reason.RIGID_CONTACT)
+            yield Fault(path, message, remedy=remedy, code=Reason.RIGID_CONTACT)
 
 
 @check("supports")
@@ -390,8 +390,8 @@ def _held(case: CaseParts) -> Iterable[Fault]:
         if free_axes:
             along_axes = "" if len(free_axes) == 3 else f" along {' and '.join(free_axes)}"
             message = f"no support holds the model{along_axes}{when}"
-            cure = "add a support: fixed, roller, displacement or foundation"
-            yield Fault(("supports",), message, cure=cure, code=Reason.LOOSE_BODY)
+            remedy = "add a support: fixed, roller, displacement or foundation"
+            yield Fault(("supports",), message, remedy=remedy, code=Reason.LOOSE_BODY)
 
 
 @check()

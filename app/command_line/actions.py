@@ -254,7 +254,9 @@ def _in_words_of_python() -> Iterator[None]:
         yield
     except MantleError as error:
         error.verdicts = [
-            replace(v, where=_arguments(v.where), what=_arguments(v.what), cure=_arguments(v.cure))
+            replace(
+                v, where=_arguments(v.where), what=_arguments(v.what), remedy=_arguments(v.remedy)
+            )
             for v in error.verdicts
         ]
         error.args = (error.message(),)

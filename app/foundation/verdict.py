@@ -65,14 +65,14 @@ class Verdict:
     Attributes:
         what: The finding, with its numbers and units.
         where: Place: a key of the file, a stage, or the part of the result that it judges.
-        cure: The remedy.
+        remedy: What to do.
         severity: Severity, from an error to a passed check.
         code: Reason, for programs.
     """
 
     what: str
     where: str = ""
-    cure: str = ""
+    remedy: str = ""
     severity: Severity = Severity.ERROR
     code: Reason | None = None
 
@@ -80,8 +80,8 @@ class Verdict:
     def text(self) -> str:
         """Place, finding, remedy and reason in one line."""
         text = f"{self.where}: {self.what}" if self.where else self.what
-        if self.cure:
-            text += f"; {self.cure}"
+        if self.remedy:
+            text += f"; {self.remedy}"
         return f"{text} [{self.code}]" if self.code else text
 
     def __str__(self) -> str:
@@ -98,9 +98,9 @@ class Verdict:
         return {key: str(value) for key, value in asdict(self).items() if value}
 
 
-def note(what: str, where: str = "", cure: str = "") -> Verdict:
+def note(what: str, where: str = "", remedy: str = "") -> Verdict:
     """Return a note on input that is allowed, but rarely meant."""
-    return Verdict(what, where, cure, Severity.NOTE)
+    return Verdict(what, where, remedy, Severity.NOTE)
 
 
 def recorded(summary: Mapping[str, Any]) -> list[Verdict]:
@@ -109,8 +109,10 @@ def recorded(summary: Mapping[str, Any]) -> list[Verdict]:
     for entry in summary.get("verdicts", []):
         severity = Severity(entry["severity"])
         code = Reason(entry["code"]) if "code" in entry else None
-        what_where_cure = (entry["what"], entry.get("where", ""), entry.get("cure", ""))
-        verdicts.append(Verdict(*what_where_cure, severity, code))
+        # Earlier results have `cure`.
+        remedy = entry.get("remedy", entry.get("cure", ""))
+        verdict = Verdict(entry["what"], entry.get("where", ""), remedy, severity, code)
+        verdicts.append(verdict)
     return verdicts
 
 
@@ -125,6 +127,6 @@ def story(verdicts: Sequence[Verdict]) -> str:
     code = f" [{first.code}]" if first.code else ""
     lines = [f"{first.where}: {first.what}{code}" if first.where else f"{first.what}{code}"]
     lines += [v.text for v in others]
-    if first.cure:
-        lines.append(f"what to do: {first.cure}")
+    if first.remedy:
+        lines.append(f"what to do: {first.remedy}")
     return "\n  ".join(lines)

@@ -355,8 +355,8 @@ def _no_results(summary: Summary) -> str:
         if first_verdict.where
         else f"{first_verdict.what}."
     )
-    if first_verdict.cure:
-        sentence += f" What to do: {first_verdict.cure}."
+    if first_verdict.remedy:
+        sentence += f" What to do: {first_verdict.remedy}."
     return in_print(f"{sentence[0].upper()}{sentence[1:]}")
 
 

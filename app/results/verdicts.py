@@ -264,8 +264,8 @@ def _by_facets(name: str, q: Numbers) -> Verdict:
         f"the maximum on {name}, {largest} MPa, depends on the facets of the mesh: slip over their "
         f"edges may cause {part}"
     )
-    cure = "reduce `mesh.size`, or use curved cells (`mesh.order: 2`) if they are straight"
-    return Verdict(message, "pressure", cure, Severity.WARNING)
+    remedy = "reduce `mesh.size`, or use curved cells (`mesh.order: 2`) if they are straight"
+    return Verdict(message, "pressure", remedy, Severity.WARNING)
 
 
 def _is_steep(q: Numbers) -> bool:

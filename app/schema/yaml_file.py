@@ -64,7 +64,7 @@ class Fault:
         path: Keys from the top to the value.
         text: The defect; what is allowed.
         place: Place, if it differs from that of the path; "" if the text names it.
-        cure: Allowed values or the remedy, if the text does not say it.
+        remedy: Allowed values or the remedy, if the text does not say it.
         code: Reason, for programs.
         section: Section beside the key to which it belongs, if it is known.
     """
@@ -72,7 +72,7 @@ class Fault:
     path: Path
     text: str
     place: Place | None = None
-    cure: str = ""
+    remedy: str = ""
     code: Reason | None = None
     section: str = ""
 
@@ -152,12 +152,12 @@ class CaseFile:
         path = tuple(int(i) if i.isdigit() else i for i in key_parts(keyed[1]))
         if path[0] not in self.data:
             return verdict
-        fault = Fault(path, keyed[2], cure=verdict.cure, code=verdict.code)
+        fault = Fault(path, keyed[2], remedy=verdict.remedy, code=verdict.code)
         return self._locate(fault)[1]
 
     def _locate(self, fault: Fault) -> tuple[tuple[int, int, int], Verdict]:
         """Sorting key and verdict of a fault, at its key or the nearest one above."""
-        verdict = Verdict(printable(fault.text), cure=fault.cure, code=fault.code)
+        verdict = Verdict(printable(fault.text), remedy=fault.remedy, code=fault.code)
         if fault.place == "":
             return LAST, verdict
         path = self._given_path(fault.path)

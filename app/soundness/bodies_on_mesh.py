@@ -130,10 +130,10 @@ class BodiesOnMesh:
             free_motions, _ = self._free_motions(
                 left_by_supports, contact_resistance, bonded_resistance, FREE
             )
-            cure = "add a support, or contact with a body that is held"
+            remedy = "add a support, or contact with a body that is held"
             for motion_text in self._motion_texts(free_motions):
                 verdict_text = f"{motion_text}{self._when(k)}, by a support or by another body"
-                errors.append(Verdict(verdict_text, "supports", cure, code=Reason.LOOSE_BODY))
+                errors.append(Verdict(verdict_text, "supports", remedy, code=Reason.LOOSE_BODY))
         return errors
 
     def loosely_held(self) -> list[Verdict]:
@@ -151,9 +151,9 @@ class BodiesOnMesh:
                     "average, which may come from the facets of the mesh"
                 )
             reason += ". The displacement may be arbitrary"
-            cure = "add friction or a support"
+            remedy = "add friction or a support"
             for motion_text in self._motion_texts(free_motions, "friction hardly holds"):
-                notes.append(note(f"{motion_text}{self._when(k)}: {reason}", cure=cure))
+                notes.append(note(f"{motion_text}{self._when(k)}: {reason}", remedy=remedy))
             gaps_in_time = {
                 n: (gap, self._laws[n].gap_multipliers or ()) for n, gap in gaps.items()
             }
@@ -164,13 +164,13 @@ class BodiesOnMesh:
                 left_by_supports, *self._resistance(None, open_interfaces), FREE
             )
             interface_names = " and ".join(f"'{n}'" for n in open_interfaces)
-            cure = "hold the body by a support or a weak foundation, or start in contact"
+            remedy = "hold the body by a support or a weak foundation, or start in contact"
             for motion_text in self._motion_texts(free_motions):
                 verdict_text = (
                     f"{motion_text}{self._when(k)} until {interface_names} closes; an equilibrium "
                     "exists only under loads that close it"
                 )
-                notes.append(note(verdict_text, cure=cure))
+                notes.append(note(verdict_text, remedy=remedy))
         return list(dict.fromkeys(notes))
 
     def _modes(self, x: Floats) -> Floats:

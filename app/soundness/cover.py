@@ -56,8 +56,8 @@ class Cover:
                     f"its bodies overlap by {depth:.3g} mm at {location}, more than a facet "
                     f"({facet_size:.3g} mm)"
                 )
-                cure = "move them apart; for an interference use `gap`"
-                raise InputError(Verdict(message, f"interfaces.{c.name}", cure))
+                remedy = "move them apart; for an interference use `gap`"
+                raise InputError(Verdict(message, f"interfaces.{c.name}", remedy))
 
     def _fit(self, nodes: Ints) -> tuple[Ints, Floats]:
         """Owned nodes, and the best-fit rotation by their displacement (3, 3 nodes); collective."""
@@ -75,8 +75,8 @@ class Cover:
                     f"body '{problem.bodies.names[body]}' has tipped by {np.degrees(angle):.2g} "
                     "degrees; with finite sliding its surface does not rotate with it"
                 )
-                cure = "add supports that keep it upright, or a motion of the master"
-                return Verdict(message, cure=cure)
+                remedy = "add supports that keep it upright, or a motion of the master"
+                return Verdict(message, remedy=remedy)
         return None
 
     def pressed_beyond_rim(self, trial: TrialState) -> Verdict | None:
@@ -90,8 +90,8 @@ class Cover:
                     f"on interface '{c.name}' the point {place} of '{slave}' has slid off "
                     f"'{master}', {furthest:.3g} mm beyond its rim"
                 )
-                cure = f"use a larger '{master}', a smaller '{slave}', or less sliding"
-                return Verdict(message, cure=cure)
+                remedy = f"use a larger '{master}', a smaller '{slave}', or less sliding"
+                return Verdict(message, remedy=remedy)
         return None
 
     def _points(

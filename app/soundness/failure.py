@@ -217,8 +217,8 @@ def explain(
     """
     u, q = solver.u_and_q(solver.failed_state)
     if q is None:
-        cure = AT_REST if scales else SMALLER
-        return Explanation(outcome, Verdict(_residuals(outcome), cure=cure))
+        remedy = AT_REST if scales else SMALLER
+        return Explanation(outcome, Verdict(_residuals(outcome), remedy=remedy))
     trial, first_trial = problem.trial(u, q), problem.trial(*solver.u_and_q(solver.first_state))
     contact = trial.contact
     controlled = contact.law.dissipates
@@ -242,15 +242,15 @@ def explain(
         far_text = loose_bodies.runaway(problem, trial)
     friction = [] if loose_texts or far_text else loose_bodies.sliding(problem, contact)
     friction += beyond_critical(problem)[1]
-    cause = Verdict(_residuals(outcome), cure=AT_REST if scales else SMALLER)
+    cause = Verdict(_residuals(outcome), remedy=AT_REST if scales else SMALLER)
     if breaks:
-        cause = replace(cause, cure=BREAKS)
+        cause = replace(cause, remedy=BREAKS)
     if friction:
-        cause = replace(cause, cure=f"{cause.cure}; or change the friction, or add a support")
+        cause = replace(cause, remedy=f"{cause.remedy}; or change the friction, or add a support")
     if far_text:
-        cause = Verdict(far_text.what, cure=FAR, code=Reason.LARGE_DISPLACEMENT)
+        cause = Verdict(far_text.what, remedy=FAR, code=Reason.LARGE_DISPLACEMENT)
     if loose_texts:
-        cause = Verdict(loose_texts[0], cure=loose_bodies.HOLD, code=Reason.LOOSE_BODY)
+        cause = Verdict(loose_texts[0], remedy=loose_bodies.HOLD, code=Reason.LOOSE_BODY)
     other_causes = [bare_verdict(text) for text in loose_texts[1:]]
     other_causes += friction
     other_causes += map(

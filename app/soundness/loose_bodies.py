@@ -243,15 +243,15 @@ def runaway(problem: Problem, trial: TrialState) -> Verdict | None:
             loose_texts = free_bodies(problem, trial, moved=True) or pulled_off(problem, contact)
             if loose_texts or term.between:
                 return Verdict(
-                    "; ".join([*loose_texts, message]), cure=HOLD, code=Reason.LOOSE_BODY
+                    "; ".join([*loose_texts, message]), remedy=HOLD, code=Reason.LOOSE_BODY
                 )
         if largest > NOT_SMALL * size + LEVER * largest_prescribed:
-            cure = (
+            remedy = (
                 "use a smaller load or gap, stiffer springs or bodies, or `sliding: finite` where "
                 "slip is larger than a facet"
             )
             message = f"displacements are no longer small: {message}"
-            return Verdict(message, cure=cure, code=Reason.LARGE_DISPLACEMENT)
+            return Verdict(message, remedy=remedy, code=Reason.LARGE_DISPLACEMENT)
     return None
 
 
@@ -383,7 +383,7 @@ def held_by_facets(problem: Problem, trial: TrialState) -> Verdict | None:
         f"surface it is free to {DIRECTIONS[mode]}; it moved by "
         f"{max(problem.comm.allgather(largest_motion)):.3g} mm, a distance that depends on the mesh"
     )
-    return Verdict(message, cure=HOLD, code=Reason.LOOSE_BODY)
+    return Verdict(message, remedy=HOLD, code=Reason.LOOSE_BODY)
 
 
 def _against_spread(

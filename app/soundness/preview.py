@@ -278,7 +278,7 @@ def _doubtful_materials(case: Case) -> Iterable[Verdict]:
                 f"regions.{name} is nearly incompressible: linear tetrahedra lock (they are far "
                 "too stiff)"
             )
-            yield note(message, cure="use mesh.order: 2")
+            yield note(message, remedy="use mesh.order: 2")
     for name, region in case.regions.items():
         place, thermal = f"regions.{name}", region.thermal
         limits_of_material = next(

@@ -47,8 +47,8 @@ def of_results(case: Case, numbers: Summary) -> list[Verdict]:
                 f"is strained by {100 * strain:.2g} % (stress over modulus), which is not small: "
                 "results are not valid there"
             )
-            cure = "check the units of moduli and loads"
-            notes.append(note(message, f"region '{name}'", cure))
+            remedy = "check the units of moduli and loads"
+            notes.append(note(message, f"region '{name}'", remedy))
     return notes
 
 

@@ -178,8 +178,8 @@ def _rotations_not_given(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
             if slides_finitely and case.regions[region].moves_rigidly:
                 message = f"the rotation of the rigid {region} is not given"
                 suggestion = f"`motions: {{NAME: {{region: {region}, about: [0 mm, 0 mm, 0 mm]}}}}`"
-                cure = f"add {suggestion}, or a fixed support"
-                yield Verdict(message, f"interfaces.{name}", cure)
+                remedy = f"add {suggestion}, or a fixed support"
+                yield Verdict(message, f"interfaces.{name}", remedy)
 
 
 def _motions_with_supports_or_loads(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
@@ -201,8 +201,8 @@ def _motions_with_supports_or_loads(case: Case, parts: MeshPieces) -> Iterator[V
         )
         if supports_of_body and motion.cycle:
             message = f"{motion.region} rotates, but supports hold it ({supports_of_body})"
-            cure = "use `translation: held` instead of the supports"
-            yield Verdict(message, f"motions.{name}.region", cure)
+            remedy = "use `translation: held` instead of the supports"
+            yield Verdict(message, f"motions.{name}.region", remedy)
         if loads and motion.translation == "held":
             message = f"{motion.region} does not move under {loads}: its motion is prescribed"
             yield note(message, f"motions.{name}.translation")
@@ -224,8 +224,8 @@ def _fibre_axes_in_cells(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
                     f"its axis meets the region, e.g. at {point_text(middle)}, where fibres have "
                     "no direction"
                 )
-                cure = "use an axis outside the region"
-                yield Verdict(message, f"{key}.fibre", cure)
+                remedy = "use an axis outside the region"
+                yield Verdict(message, f"{key}.fibre", remedy)
 
 
 def _sides_that_do_not_fit(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
@@ -238,21 +238,21 @@ def _sides_that_do_not_fit(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
                 f"{first_side} and {second_side} share {shared_facets} facets, so slip is limited"
                 " to one facet"
             )
-            cure = "mesh the bodies separately, or use `sliding: small`"
-            yield Verdict(message, f"interfaces.{name}.sliding", cure)
+            remedy = "mesh the bodies separately, or use `sliding: small`"
+            yield Verdict(message, f"interfaces.{name}.sliding", remedy)
         elif not shared_facets and name not in parts.faces:
-            cure = (
+            remedy = (
                 "if the bodies are meshed separately, use `kind: contact` with `sliding: finite` "
                 "and two boundaries in `between`"
             )
             message = f"no facet between {first_side} and {second_side}"
-            yield Verdict(message, f"interfaces.{name}", cure)
+            yield Verdict(message, f"interfaces.{name}", remedy)
         for face, side in zip(parts.faces.get(name, ()), sides, strict=False):
             face_regions = sorted({parts.pieces[p].region for p in parts.boundaries.get(face, {})})
             if not face_regions or not {*face_regions} <= {*side}:
                 message = f"{face} is a surface of {' and '.join(face_regions) or 'no region'}"
-                cure = f"choose a boundary of {'/'.join(side)} only"
-                yield Verdict(message, f"interfaces.{name}.between", cure)
+                remedy = f"choose a boundary of {'/'.join(side)} only"
+                yield Verdict(message, f"interfaces.{name}.between", remedy)
 
 
 def _misplaced_probes(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
@@ -277,13 +277,13 @@ def _misplaced_gauge(data: MeshData, key: str, gauge: StrainGauge) -> list[Verdi
     try:
         gauge_position = gauge_points(x, gauge.at, gauge.towards, gauge.direction, gauge.diameter)
     except GaugeFault as fault:
-        return [Verdict(str(fault), f"{key}.{fault.key}", fault.cure)]
+        return [Verdict(str(fault), f"{key}.{fault.key}", fault.remedy)]
     if gauge_position.distance <= gauge.diameter:
         return []
     message = f"is {gauge_position.distance:.3g} mm from {gauge.boundary}"
-    cure = f"expected at most a diameter, {gauge.diameter:g} mm; the nearest point is "
-    cure += f"{point_text(gauge_position.centre)}. `towards` finds a point in a direction"
-    return [Verdict(message, f"{key}.at", cure)]
+    remedy = f"expected at most a diameter, {gauge.diameter:g} mm; the nearest point is "
+    remedy += f"{point_text(gauge_position.centre)}. `towards` finds a point in a direction"
+    return [Verdict(message, f"{key}.at", remedy)]
 
 
 def _followers_moved_twice(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
@@ -486,11 +486,11 @@ def _open_cracks(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
             f"{len(x)} pairs of nodes coincide but are not connected, e.g. at {point_text(x[0])}: "
             "an open crack"
         )
-        cure = (
+        remedy = (
             "if it is not intended, merge them (in gmsh BooleanFragments before meshing, or "
             "Coherence Mesh after it)"
         )
-        yield note(message, region_text, cure)
+        yield note(message, region_text, remedy)
     if case.geometry.kind != "file":
         return
     for (a, b), (area, place) in touching_without_shared_nodes(parts.data).items():
@@ -502,11 +502,11 @@ def _open_cracks(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
             f"{region_text} touch over {area:.3g} mm2, e.g. at {point_text(place)}, but share no "
             "node: neither force nor heat passes between them"
         )
-        cure = (
+        remedy = (
             "if they are to be joined, mesh them together (in gmsh BooleanFragments), or let them "
             "slide (`sliding: finite`)"
         )
-        yield note(message, cure=cure)
+        yield note(message, remedy=remedy)
 
 
 def _doubtful_unit(case: Case, parts: MeshPieces) -> list[Verdict]:
@@ -539,7 +539,7 @@ def _too_stiff_in_bending(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
                 f"region '{name}' is {thickness:.3g} mm thick with linear cells of {edge:.3g} mm: "
                 f"in bending it is about {percent:.0f} % too stiff"
             )
-            yield note(message, cure="use mesh.order: 2")
+            yield note(message, remedy="use mesh.order: 2")
 
 
 # Checks of the mesh and of places on it, also without mechanics.

@@ -147,7 +147,7 @@ def test_fit_names_a_key_without_influence(model: Bench) -> None:
     (verdict,) = record["verdicts"]
     assert verdict["where"] == "regions.upper.poisson_ratio"
     assert "do not determine it: from one bound to the other (0.2 to 0.4)" in verdict["what"]
-    assert "leave this key out" in verdict["cure"]
+    assert "leave this key out" in verdict["remedy"]
     assert record["keys"]["regions.upper.poisson_ratio"]["uncertainty"] is None
     assert record["keys"][FRICTION]["uncertainty"] < 0.02
     with pytest.raises(UnusableError, match="poisson_ratio: the targets do not determine it"):

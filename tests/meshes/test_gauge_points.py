@@ -93,13 +93,13 @@ def test_gauge_points_refuse_what_does_not_fit(
     with pytest.raises(GaugeFault, match=text) as caught:
         gauge_points(PLATE, **keys)  # type: ignore[arg-type]
     assert caught.value.key == key
-    assert caught.value.cure
+    assert caught.value.remedy
 
 
 def test_gauge_points_name_the_largest_circle_that_fits() -> None:
     """On a sphere of 14 mm the surface bends by 60 degrees at a radius of 12.1 mm."""
     with pytest.raises(GaugeFault, match="bends by more than 60 degrees") as caught:
         gauge_points(sphere(), (0, 0, 0), (1, 2, 3), (0, 0, 1), 26.0)
-    assert "at most about 23 mm" in caught.value.cure
+    assert "at most about 23 mm" in caught.value.remedy
     with pytest.raises(GaugeFault, match="beyond the edge"):
         gauge_points(sphere(), (0, 0, 0), (1, 2, 3), (0, 0, 1), 40.0)

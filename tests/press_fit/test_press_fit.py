@@ -168,7 +168,7 @@ def test_press_fit_raises_a_collar() -> None:
         "stem": {"insertion_subsidence": -0.0158},
     }
     (verdict,) = _raised_collar(summary)
-    assert "raises the stem by 15.8 um" in verdict.what and "-0.016 mm" in verdict.cure
+    assert "raises the stem by 15.8 um" in verdict.what and "-0.016 mm" in verdict.remedy
     assert "97 % of its collar is off the bone, by 12.9 um in the mean" in verdict.what
     for other_gap in (1.0158, 0.001, 0.0):
         collar["insertion_gap_mean"] = other_gap
@@ -187,8 +187,8 @@ def test_press_fit_collar_with_a_gap_is_raised_only_if_most_of_it_is_off_the_bon
         "stem": {"insertion_subsidence": -0.0078},
     }
     (verdict,) = _raised_collar(summary)
-    assert "change the `gap` of interfaces.collar_bone by -0.009 mm" in verdict.cure
-    assert "seat" not in verdict.cure
+    assert "change the `gap` of interfaces.collar_bone by -0.009 mm" in verdict.remedy
+    assert "seat" not in verdict.remedy
     collar |= {"insertion_gap_mean": 0.0055, "insertion_open_fraction": 0.35}
     summary["stem"]["insertion_subsidence"] = -0.0089
     assert not [*_raised_collar(summary)]
@@ -320,7 +320,7 @@ def test_press_fit_cycle_tables_act_after_it(tmp_path: Path) -> None:
     assert sizes == pytest.approx([0, 0, 25, 50, 10, 50])
     sudden = load(path, (*of_case[:1], "stages=[{name: press}, {name: gait}]")).config
     (note,) = (v for v in preview.input_notes(sudden) if "cycle begins" in v.what)
-    assert "first stage after the insertion" in note.what and "{name: rise}" in note.cure
+    assert "first stage after the insertion" in note.what and "{name: rise}" in note.remedy
     with pytest.raises(InputError, match=r"end of the last stage; .* \{name: rise\}, \{name: gait"):
         load(path, (*of_case[:1], "stages=[{name: gait}]"))
 
@@ -375,7 +375,7 @@ def test_press_fit_says_that_bone_yields_before_the_ingrowth() -> None:
     summary = {"interfaces": interfaces, "regions": regions}
     hoop, compressed = _beyond_yield(summary)
     assert "strains b by 8000 um/m" in hoop.what and "compresses b by 9000 um/m" in compressed.what
-    assert hoop.cure == "reduce the interference of stem_bone"
+    assert hoop.remedy == "reduce the interference of stem_bone"
     (ingrowth,) = _ingrowth(summary)
     assert "the insertion strains bone beyond its yield" in ingrowth.what
     assert _RESULT_VERDICTS.index(_beyond_yield) < _RESULT_VERDICTS.index(

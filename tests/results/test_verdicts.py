@@ -30,7 +30,7 @@ def judged(numbers: dict[str, Any]) -> dict[str, tuple[str, str]]:
     """Words and severity of each verdict but the first, by the part of the result it judges."""
     first, *rest = verdicts.of_numbers(numbers)
     assert first.text.startswith("converged: 974 unknowns") and first.severity is Severity.PLAIN
-    return {v.where: (f"{v.what}; {v.cure}" if v.cure else v.what, v.severity) for v in rest}
+    return {v.where: (f"{v.what}; {v.remedy}" if v.remedy else v.what, v.severity) for v in rest}
 
 
 def test_verdicts_on_good_results() -> None:
