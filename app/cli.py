@@ -35,7 +35,7 @@ from app.command_line.commands import dispatch
 from app.command_line.parser import parser
 from app.command_line.streams import painted, silence
 from app.foundation import files
-from app.foundation.errors import AloneError, InputError, MantleError, together
+from app.foundation.errors import InputError, MantleError, RankError, all_ranks_arrive
 from app.soundness import memory
 from app.system import form_cache, ranks
 from app.system.folders import settle_cache
@@ -75,6 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except MantleError as error:
         return _leave(error)
     except KeyboardInterrupt:
+        # A run handles signals from its beginning (`stopping.signals`): this one came before it.
         if rank() == 0:
             run = (sys.argv[1:] if arguments is None else [*arguments])[:1] == ["run"]
             disk = ": no step had converged, so nothing was written" if run else ""
@@ -103,10 +104,10 @@ def _leave(error: MantleError) -> int:
     if rank() == 0:
         print(painted(error, "bad", sys.stderr), file=sys.stderr, flush=True)
     else:
-        # The first rank to leave has mpirun end the others, of which one is about to speak.
+        # mpirun ends all ranks when the first one exits. Wait, so that rank 0 can print its error.
         time.sleep(GRACE)
     world = _world()
-    if world is not None and (isinstance(error, AloneError) or not together(world)):
+    if world is not None and (isinstance(error, RankError) or not all_ranks_arrive(world)):
         if rank() != 0:
             print(f"rank {rank()}: {error}", file=sys.stderr, flush=True)
         _abort(error.exit_code)

@@ -74,11 +74,16 @@ def place(points: Floats, cells: Ints, x: Floats) -> Places:
     return Places(cell, barycentric, inside)
 
 
+def barycentric_coordinates(corners: Floats, x: Floats) -> Floats:
+    """Barycentric coordinates (..., 4) of points (..., 3) in straight cells (..., 4, 3)."""
+    edges = (corners[..., 1:, :] - corners[..., :1, :]).swapaxes(-2, -1)
+    last_three = np.linalg.solve(edges, (x - corners[..., 0, :])[..., None])[..., 0]
+    return np.concatenate([1.0 - last_three.sum(axis=-1, keepdims=True), last_three], axis=-1)
+
+
 def _shares(x: Floats, point: Floats) -> Floats:
     """Barycentric coordinates (m, 4) of a point in the reference cells of cells (m, 4 or 10, 3)."""
-    edges = (x[:, 1:4] - x[:, :1]).transpose(0, 2, 1)
-    other_coordinates = np.linalg.solve(edges, (point - x[:, 0])[:, :, None])[:, :, 0]
-    barycentric = np.column_stack([1.0 - other_coordinates.sum(axis=1), other_coordinates])
+    barycentric = barycentric_coordinates(x[:, :4], point)
     if x.shape[1] == 4:
         return barycentric
     # Far from a cell its quadratic map may have no inverse.

@@ -15,7 +15,7 @@ from functools import cache
 import configs
 from app.case import library, quantities
 from app.case.case import Case
-from app.case.keys import Key, Keys, every, matches, table
+from app.case.keys import Key, KeySection, all_keys, matches, sections
 from app.foundation.errors import InputError
 
 WIDTH = 96
@@ -130,7 +130,7 @@ def explained(key: str = "", options: Mapping[str, str] | None = None) -> str:
     if query in ("unit", "units"):
         return _units()
     if not query:
-        return "\n".join([*map(_line, table()[0].keys), "", *map(library.listed, library.KINDS)])
+        return "\n".join([*map(_line, sections()[0].keys), "", *map(library.listed, library.KINDS)])
     lower_word = re.sub("[ -]", "_", query.lower().replace("'", ""))
     explanations = _answers(query, lower_word, options or {})
     if explanations:
@@ -160,7 +160,7 @@ def _answers(query: str, word: str, options: Mapping[str, str]) -> list[str]:
     lines = [_results()[target] for target in targets if target in _results()]
     option_lines = list(_options_named([*targets, f"--{word.replace('_', '-')}"], options))
     if not blocks and not lines and not option_lines:
-        lines += [_line(k) for k in every() if word in k.name.lower()]
+        lines += [_line(k) for k in all_keys() if word in k.name.lower()]
     if not library_lists:
         lines += _lines_with(word)
     if not blocks and not lines and not option_lines:
@@ -175,7 +175,7 @@ def _answers(query: str, word: str, options: Mapping[str, str]) -> list[str]:
 
 def _nearest(query: str, names: Iterable[str]) -> list[str]:
     """Keys, names and terms that are spelled like a word, the nearest first."""
-    known_names = [*names, *WORDS, *(re.sub(r"\.<name>|\[\]", "", k.path) for k in every())]
+    known_names = [*names, *WORDS, *(re.sub(r"\.<name>|\[\]", "", k.path) for k in all_keys())]
     name_of_word = {
         w: name for name in reversed(known_names) for w in (name, name.rpartition(".")[2])
     }
@@ -194,7 +194,7 @@ def _units() -> str:
         for quantity in numbers.values():
             results.setdefault(quantity.unit, []).append(quantity.key)
     keys: dict[str, list[str]] = {}
-    for key in every():
+    for key in all_keys():
         if key.unit:
             keys.setdefault(key.unit, []).append(key.name)
     tables = []
@@ -212,8 +212,8 @@ def _units() -> str:
 
 def _keys(query: str) -> Iterator[str]:
     """Explain the key at a path, or all keys whose paths end with a word or with words."""
-    keys = [k for k in every() if matches(k, query)]
-    keys = keys or [k for k in every() if f".{k.path}".endswith(f".{query}")]
+    keys = [k for k in all_keys() if matches(k, query)]
+    keys = keys or [k for k in all_keys() if f".{k.path}".endswith(f".{query}")]
     heads: dict[str, list[str]] = {}
     for key in keys:
         with_kind = key.kind and key.name != "kind"
@@ -226,7 +226,7 @@ def _keys(query: str) -> Iterator[str]:
 def _kind(query: str) -> Iterator[str]:
     """Explain a kind (``fixed``) in all sections, or in the section named before it."""
     section_path, _, name = query.rpartition(": ")
-    for section in table():
+    for section in sections():
         if section.kind == name and (not section_path or section.path.startswith(section_path)):
             keys = [key.name for key in section.keys if key.name != "kind"]
             rows = {
@@ -240,14 +240,14 @@ def _kind(query: str) -> Iterator[str]:
 def _kinds(path: str) -> str:
     """The kinds of a section, each as an example with its required keys."""
     lines = []
-    for section in (s for s in table() if f"{s.path}.kind" == path and s.kind):
+    for section in (s for s in sections() if f"{s.path}.kind" == path and s.kind):
         summary = re.split(r"[.] |\n", section.meaning.replace("`", ""))[0]
         for text in (_example_of(section), f"  {summary}"):
             lines.append(textwrap.indent(textwrap.fill(text, WIDTH, subsequent_indent="  "), "  "))
     return "\n".join(lines)
 
 
-def _example_of(section: Keys) -> str:
+def _example_of(section: KeySection) -> str:
     """A section of a kind with its required keys."""
     required = [k for k in section.keys if not k.default and k.name not in ("kind", "rigid")]
     keys = [f"kind: {section.kind}", *(_example(k) or f"{k.name}: ..." for k in required)]
@@ -316,7 +316,7 @@ def _results() -> dict[str, str]:
 
 def _lines_on(word: str) -> Iterator[str]:
     """Kinds and keys with a word in their meaning."""
-    for section in table():
+    for section in sections():
         if section.kind and word in section.meaning.lower():
             heading = f"{section.path}: {section.kind}"
             meaning = textwrap.shorten(section.meaning.replace("`", ""), WIDTH - 20)

@@ -78,7 +78,7 @@ class Key:
 
 
 @dataclass(frozen=True)
-class Keys:
+class KeySection:
     """The keys of a section; `path` is its first place, ``supports.<name>``."""
 
     path: str
@@ -93,18 +93,20 @@ class Keys:
 
 
 @cache
-def table(root: type[BaseModel] = Case) -> list[Keys]:
+def sections(root: type[BaseModel] = Case) -> list[KeySection]:
     """All sections of a case, sweep, study or fit with their keys, in the order of the file.
 
     Kinds added from outside the program are among them.
     """
     root_schema = root.model_json_schema(schema_generator=_Generator)
     schemas: Schema = {"": root_schema} | root_schema["$defs"]
-    keys_of_section: dict[str, Keys] = {}
+    keys_of_section: dict[str, KeySection] = {}
 
     def visit(path: str, name: str) -> None:
         schema = schemas[name]
-        keys_of_section[name] = Keys(path, _kind(schema), prose(schema.get("description", "")), [])
+        keys_of_section[name] = KeySection(
+            path, _kind(schema), prose(schema.get("description", "")), []
+        )
         for key, field in schema["properties"].items():
             for place, nested in _sections(field, f"{path}.{key}".removeprefix(".")):
                 if nested not in keys_of_section:
@@ -151,17 +153,13 @@ def _sections(schema: Schema, path: str) -> Iterator[tuple[str, str]]:
             yield from _sections(inner, path + end)
 
 
-def _value(schema: Schema, keys_of_section: dict[str, Keys]) -> tuple[str, str]:
+def _value(schema: Schema, keys_of_section: dict[str, KeySection]) -> tuple[str, str]:
     """Type of a value, in words, and the unit in which it is kept."""
     match schema:
         case {"x-value": str(text)}:
             return text, schema.get("x-unit", "")
         case {"$ref": str(ref)}:
-            section = keys_of_section[ref.rpartition("/")[2]]
-            # Anchor of a heading, as GitHub and MyST make it.
-            link = re.sub(r"[^\w\- ]", "", section.heading.lower()).replace(" ", "-")
-            kind = section.kind
-            return f"kind [`{kind}`](#{link})" if kind else f"[section](#{link})", ""
+            return _link(keys_of_section[ref.rpartition("/")[2]]), ""
         case {"anyOf": list(parts)}:
             return _union([_value(p, keys_of_section) for p in parts if p != {"type": "null"}])
         case {"const": value}:
@@ -172,18 +170,7 @@ def _value(schema: Schema, keys_of_section: dict[str, Keys]) -> tuple[str, str]:
             text, unit = _value(inner, keys_of_section)
             return f"by name: {text}", unit
         case {"prefixItems": list(items)}:
-            types_and_units = [_value(item, keys_of_section) for item in items]
-            if len(set(types_and_units)) == 1:
-                return (
-                    f"list of {NUMBERS[len(types_and_units)]}: {types_and_units[0][0]}",
-                    types_and_units[0][1],
-                )
-            units = ", ".join(dict.fromkeys(unit for _, unit in types_and_units if unit))
-            value_types = [
-                text.partition(", e.g.")[0].replace(", ", " ") for text, _ in types_and_units
-            ]
-            kind = "pair" if len(value_types) == 2 else "row"
-            return f"{kind} [{', '.join(value_types)}]", units
+            return _row([_value(item, keys_of_section) for item in items])
         case {"items": dict(inner)}:
             text, unit = _value(inner, keys_of_section)
             if text.startswith(("pair [", "row [")):
@@ -193,6 +180,24 @@ def _value(schema: Schema, keys_of_section: dict[str, Keys]) -> tuple[str, str]:
         return "path", ""
     bounds = bounds_in_words({k: v for k, v in schema.items() if k != "type"})
     return f"{TYPES.get(schema.get('type', ''), 'any value')}{bounds}", ""
+
+
+def _link(section: KeySection) -> str:
+    """Link to a section of the manual, by its kind if it has one."""
+    # Anchor of a heading, as GitHub and MyST make it.
+    link = re.sub(r"[^\w\- ]", "", section.heading.lower()).replace(" ", "-")
+    return f"kind [`{section.kind}`](#{link})" if section.kind else f"[section](#{link})"
+
+
+def _row(values: list[tuple[str, str]]) -> tuple[str, str]:
+    """Types of the items of a list of fixed length, in words, and their units."""
+    if len(set(values)) == 1:
+        text, unit = values[0]
+        return f"list of {NUMBERS[len(values)]}: {text}", unit
+    units = ", ".join(dict.fromkeys(unit for _, unit in values if unit))
+    value_types = [text.partition(", e.g.")[0].replace(", ", " ") for text, _ in values]
+    kind = "pair" if len(value_types) == 2 else "row"
+    return f"{kind} [{', '.join(value_types)}]", units
 
 
 def _union(values: list[tuple[str, str]]) -> tuple[str, str]:
@@ -231,9 +236,9 @@ def _yaml(value: object) -> str:
     return value if isinstance(value, str) else f"{value:g}"
 
 
-def every() -> list[Key]:
+def all_keys() -> list[Key]:
     """All keys of a case, in the order of the file."""
-    return [key for section in table() for key in section.keys]
+    return [key for section in sections() for key in section.keys]
 
 
 def matches(key: Key, path: str) -> bool:
@@ -245,7 +250,7 @@ def matches(key: Key, path: str) -> bool:
 
 
 @cache
-def unit(path: str) -> str:
+def internal_unit(path: str) -> str:
     """Internal unit of a key as after ``--set``; empty if it has none or is unknown."""
-    units = {key.unit for key in every() if matches(key, path)} - {""}
+    units = {key.unit for key in all_keys() if matches(key, path)} - {""}
     return units.pop() if len(units) == 1 else ""

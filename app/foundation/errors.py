@@ -85,7 +85,7 @@ class EnvironmentProblem(MantleError):
     exit_code = 69
 
 
-class AloneError(MantleError):
+class RankError(MantleError):
     """An error on one rank, unknown to the others, which have to be ended."""
 
     def __init__(self, error: MantleError) -> None:
@@ -139,7 +139,7 @@ def gravest(codes: Iterable[int], message: str) -> MantleError:
     return gravest_kind(message)
 
 
-def together(comm: MPI.Comm) -> bool:
+def all_ranks_arrive(comm: MPI.Comm) -> bool:
     """Return True if all ranks call this in time; ranks without an error wait elsewhere."""
     barrier = comm.Ibarrier()
     end = time.monotonic() + PATIENCE
@@ -154,10 +154,10 @@ def agree(comm: MPI.Comm, error: MantleError) -> None:
     """Confirm that all ranks have met an error, before any collective reaction to it.
 
     Raises:
-        AloneError: They have not.
+        RankError: They have not.
     """
-    if not together(comm):
-        raise AloneError(error) from error
+    if not all_ranks_arrive(comm):
+        raise RankError(error) from error
 
 
 def everywhere(comm: MPI.Comm, action: Callable[[], T]) -> T:
@@ -179,7 +179,7 @@ def on_root(comm: MPI.Comm, action: Callable[[], T], share: bool = True) -> T | 
     return comm.bcast(result) if share else result
 
 
-def dealt(comm: MPI.Comm, tasks: Sequence[Callable[[], T]]) -> list[T]:
+def distribute_tasks(comm: MPI.Comm, tasks: Sequence[Callable[[], T]]) -> list[T]:
     """Divide tasks among the ranks and return their results in order on rank 0, else nothing.
 
     Rank r takes task r and every further one by the number of ranks. Collective; an error in a

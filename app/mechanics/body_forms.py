@@ -137,7 +137,7 @@ class BodyForms:
         springs: Stiffness of each elastic foundation.
         free_strain: Thermal strain of each expanding elastic region, at the vertices [-].
         growth: Modulus of each curing region over its final one, at the vertices [-].
-        by_density: Regions whose stiffness follows a density that changes.
+        density_regions: Regions whose stiffness follows a density that changes.
         density, density_at_start: That density at all vertices of this rank, ghosts too
             (n, r) [g/cm3].
         path_dependent_regions: Regions that cure or creep: their stress depends on the path of
@@ -166,7 +166,7 @@ class BodyForms:
         self._surface = SurfaceMeasure(tagged, bodies, scene.loaded_boundaries)
         self._constants = {e.region: self._region_constants(e) for e in scene.elastic}
         changing = [e for e in scene.elastic if e.changing_density]
-        self.by_density = tuple(e.region for e in changing)
+        self.density_regions = tuple(e.region for e in changing)
         # None without such regions.
         self.density_at_start: Any = None
         self.density: Any = None
@@ -288,7 +288,7 @@ class BodyForms:
 
     def density_at(self, region: str, points: Floats, density: Floats) -> Floats:
         """A density at the vertices (n, r) at points of a region's owned cells (cells, points)."""
-        nodal = density[:, self.by_density.index(region)]
+        nodal = density[:, self.density_regions.index(region)]
         return np.asarray(nodal[self.vertices(region)] @ linear_shape_functions(points).T)
 
     def follow_density(self) -> None:

@@ -267,7 +267,7 @@ class Problem:
 
     def follow_density(self) -> None:
         """Update moduli and matrices where densities change; collective."""
-        if self.body_forms.by_density:
+        if self.body_forms.density_regions:
             self.body_forms.follow_density()
             if self.thermal_strain:
                 self.thermal_strain.assemble()

@@ -18,6 +18,7 @@ import numpy as np
 from app.foundation.errors import InputError
 from app.foundation.files import parts
 from app.patient.voxels import Voxels
+from app.system.layout import shortened_list, times_text
 
 STEP_TOLERANCE = 0.1  # largest distance of a slice from its even place, as a part of the step
 SAME_PLACE = 0.01  # mm: slices that are nearer are at one place
@@ -287,8 +288,8 @@ def check_equal(path: Path, slices: Sequence[Any]) -> None:
             ]
             odd_value = next(value for value in values if value != usual_value)
             fault = (
-                f"{_names(odd_names)} has {_product_text(odd_value)} {quantity}, the"
-                f" other slices {_product_text(usual_value)}"
+                f"{_names(odd_names)} has {times_text(odd_value)} {quantity}, the"
+                f" other slices {times_text(usual_value)}"
             )
             raise InputError(f"{path}: {fault}; leave it out")
 
@@ -411,17 +412,10 @@ def _frame(header: Any) -> int | None:
 
 def _names(names: Iterable[str]) -> str:
     """Return the first names of several, and the number of the others."""
-    names = list(names)
-    remainder = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-    return ", ".join(names[:MOST_NAMES]) + remainder
+    return shortened_list(names, MOST_NAMES)
 
 
 def _described(header: Any) -> str:
     """Description of the series of a slice, in quotes."""
     description = str(header.get("SeriesDescription") or header.get("SeriesInstanceUID") or "?")
     return f"'{description}'"
-
-
-def _product_text(values: Iterable[Any]) -> str:
-    """Return numbers as text: ``512 x 512``."""
-    return " x ".join(f"{value:g}" for value in values)

@@ -80,9 +80,8 @@ class ImageModulus(ModulusField):
         if not self.modulus_of(-1e9) > 0.0:
             fail(f"gives no positive modulus at {LEAST} g/cm3", at=("law",))
         if not SOFTEST < self.largest < STIFFEST:
-            fault = (
-                f"the largest CT number, {image.dense:g}, gives E = {self.largest / 1e3:.2g} GPa"
-            )
+            number = image.percentile_99_9
+            fault = f"the largest CT number, {number:g}, gives E = {self.largest / 1e3:.2g} GPa"
             fault += (
                 f"; expected {SOFTEST / 1e3:g} to {STIFFEST / 1e3:g} GPa. Is the unit wrong, or"
             )
@@ -109,7 +108,7 @@ class ImageModulus(ModulusField):
     @property
     def largest(self) -> float:
         """Young's modulus that is exceeded in one voxel of a thousand [MPa]."""
-        return float(self.modulus_of(self.image.dense))
+        return float(self.modulus_of(self.image.percentile_99_9))
 
     def modulus_at(self, x: Floats, geometry: Any) -> Floats:
         """Young's modulus at points (n, 3) of a geometry (n,) [MPa].
@@ -130,7 +129,7 @@ class ImageModulus(ModulusField):
 
     def details(self, geometry: Any) -> dict[str, str]:
         """Moduli at three densities, at the densest voxels, and below the surface of a patient."""
-        dense, kind = self.image.dense, table_of(self.law)[0]
+        dense, kind = self.image.percentile_99_9, table_of(self.law)[0]
         shown_densities, shown_moduli = (
             ", ".join(f"{v:{f}}" for v in values)
             for values, f in (
@@ -160,13 +159,11 @@ class ImageModulus(ModulusField):
         """Notes on implausible CT numbers: shifted by 1024, or no numbers."""
         image, name = self.image, self.density.name
         notes = list(image.notes)
-        if image.lost:
-            notes.append(f"{name}: {image.lost:,} voxels are not numbers")
-        if image.least > AIR_NUMBER:
-            doubt = (
-                f"{name}: its smallest CT number is {image.least:g}, but air has -1000; is there"
-            )
-            notes.append(f"{doubt} no air, or was 1024 added to all numbers?")
+        if image.nan_count:
+            notes.append(f"{name}: {image.nan_count:,} voxels are not numbers")
+        if image.min_measured > AIR_NUMBER:
+            doubt = f"{name}: its smallest CT number is {image.min_measured:g}, but air has -1000;"
+            notes.append(f"{doubt} is there no air, or was 1024 added to all numbers?")
         if isinstance(geometry, Patient):
             notes += self._doubts_on(geometry)
         return notes

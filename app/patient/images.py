@@ -1,8 +1,8 @@
 """Images of bones: numbers on a lattice of voxels, read from files and interpolated.
 
-nibabel reads NIfTI files, pydicom DICOM (`dicom_series`). This module checks that the header places
-the voxels, and in one way only. Libraries use the sform without a warning where it contradicts the
-qform or the sizes of voxels.
+nibabel reads NIfTI files, pydicom DICOM (`dicom_series`). This module checks that the header gives
+one consistent transform from voxels to the patient. Libraries use the sform without a warning where
+it contradicts the qform or the sizes of voxels.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from app.foundation.files import parts
 from app.patient import dicom_segmentation, dicom_series, nrrd
 from app.patient.foreign_formats import WRAPPED, ForeignFormats, foreign_format, vtk_formats
 from app.patient.voxels import LabelSegment, Voxels
+from app.system.layout import times_text
 
 HALF_VOXEL = 0.5 + 1e-6  # edges from the middle of a voxel to its end
 MOST_TILT = 0.01  # largest cosine of the angle between edges of voxels
@@ -90,25 +91,25 @@ class Image:
         return float(np.arccos(min(cosines.min(), 1.0)))
 
     @cached_property
-    def _numbers(self) -> Any:
+    def _finite_values(self) -> Any:
         """Values of all voxels that are numbers (n,)."""
         return self.values[np.isfinite(self.values)]
 
     @cached_property
-    def dense(self) -> float:
+    def percentile_99_9(self) -> float:
         """Number that is exceeded in one voxel of a thousand."""
-        return float(np.percentile(self._numbers, 99.9))
+        return float(np.percentile(self._finite_values, 99.9))
 
     @cached_property
-    def least(self) -> float:
+    def min_measured(self) -> float:
         """Lowest number of a voxel that was measured."""
-        measured_numbers = self._numbers[self._numbers > PADDING]
-        return float((measured_numbers if measured_numbers.size else self._numbers).min())
+        measured_numbers = self._finite_values[self._finite_values > PADDING]
+        return float((measured_numbers if measured_numbers.size else self._finite_values).min())
 
     @property
-    def lost(self) -> int:
+    def nan_count(self) -> int:
         """Number of voxels that are no numbers."""
-        return int(self.values.size - self._numbers.size)
+        return int(self.values.size - self._finite_values.size)
 
     def values_at(self, x: Floats) -> Floats:
         """Return values (n,) at points (n, 3) [mm], linear between the centres of voxels.
@@ -155,7 +156,7 @@ def read(path: Path) -> Image:
 
 def read_layers(path: Path) -> Image:
     """Read an image as `read`; segments that overlap are in several layers."""
-    return _read(path, changed(path))
+    return _read(path, modification_time(path))
 
 
 def files_of(path: Path) -> list[Path]:
@@ -171,13 +172,13 @@ def files_of(path: Path) -> list[Path]:
     )
 
 
-def changed(path: Path) -> int:
+def modification_time(path: Path) -> int:
     """Return the time of the last change of the files of an image [ns]."""
     return max(file.stat().st_mtime_ns for file in (path, *files_of(path)))
 
 
 @lru_cache(maxsize=2)
-def _read(path: Path, _changed: int) -> Image:
+def _read(path: Path, _modification_time: int) -> Image:
     try:
         voxels = _reader(path)(path)
         values = np.asarray(voxels.values)
@@ -194,6 +195,25 @@ def _read(path: Path, _changed: int) -> Image:
     if values.ndim > 3 and int(np.prod(values.shape[3:])) == 1:
         values = values.reshape(values.shape[:3])
     layered = values.ndim == 4 and voxels.segments is not None
+    _check_values(path, values, layered)
+    edge_lengths = _check_affine(path, affine)
+    lattice, spacing = (times_text(row, digits=4) for row in (values.shape[:3], edge_lengths))
+    layers = f" in {values.shape[3]} layers" if layered else ""
+    description = f"{voxels.kind}: {lattice} voxels of {spacing} mm{layers}, {values.dtype}"
+    summary = (description, *voxels.left_out)
+    image = Image(values, affine, summary, voxels.doubts, voxels.segments)
+    if image.nan_count:
+        lost_text = f"{image.nan_count:,} voxels are not numbers"
+        return replace(image, summary=(*image.summary, lost_text))
+    return image
+
+
+def _check_values(path: Path, values: Any, layered: bool) -> None:
+    """Check the array of an image.
+
+    Raises:
+        InputError: It is not a volume of numbers, one for each voxel, or has no finite one.
+    """
     if values.ndim == 4 and not layered:
         fault = f"has {values.shape[3]} numbers per voxel, such as colours or times"
         raise InputError(f"{path}: {fault}; expected one")
@@ -203,12 +223,22 @@ def _read(path: Path, _changed: int) -> Image:
     if min(values.shape[:3]) < 2:
         voxel_counts = " x ".join(str(n) for n in values.shape[:3])
         raise InputError(f"{path}: is a single slice of {voxel_counts} voxels; expected a volume")
+    if not np.isfinite(values).any():
+        raise InputError(f"{path}: none of its voxels is a number")
+
+
+def _check_affine(path: Path, affine: Floats) -> Floats:
+    """Check the affine of an image (4, 4), and return the edge lengths of its voxels (3,) [mm].
+
+    Raises:
+        InputError: It is not finite, has no spacing, or its axes are not perpendicular.
+    """
     if not np.isfinite(affine).all():
         raise InputError(f"{path}: its affine contains values that are not numbers")
     edge_lengths = np.linalg.norm(affine[:3, :3], axis=0)
     if not (np.isfinite(edge_lengths).all() and edge_lengths.all()):
         raise InputError(
-            f"{path}: the spacing of its voxels is {_product_text(edge_lengths)}"
+            f"{path}: the spacing of its voxels is {times_text(edge_lengths, digits=4)}"
             " mm; expected above 0"
         )
     directions = affine[:3, :3] / edge_lengths
@@ -216,18 +246,7 @@ def _read(path: Path, _changed: int) -> Image:
         raise InputError(
             f"{path}: its axes are not perpendicular; was the gantry tilted? Resample it"
         )
-    if not np.isfinite(values).any():
-        raise InputError(f"{path}: none of its voxels is a number")
-    lattice, spacing = (
-        " x ".join(f"{n:.4g}" for n in row) for row in (values.shape[:3], edge_lengths)
-    )
-    layers = f" in {values.shape[3]} layers" if layered else ""
-    description = f"{voxels.kind}: {lattice} voxels of {spacing} mm{layers}, {values.dtype}"
-    summary = (description, *voxels.left_out)
-    image = Image(values, affine, summary, voxels.doubts, voxels.segments)
-    if image.lost:
-        return replace(image, summary=(*image.summary, f"{image.lost:,} voxels are not numbers"))
-    return image
+    return np.asarray(edge_lengths)
 
 
 def _reader(path: Path) -> Callable[[Path], Voxels]:
@@ -319,8 +338,8 @@ def _nifti(path: Path) -> Voxels:
         sizes = np.abs(np.asarray(header["pixdim"][1:4], float))
         if not np.allclose(edges, sizes, rtol=SIZE_TOLERANCE):
             raise InputError(
-                f"{path}: its voxels have {_product_text(edges)} mm by sform but"
-                f" {_product_text(sizes)} mm by pixdim;"
+                f"{path}: its voxels have {times_text(edges, digits=4)} mm by sform but"
+                f" {times_text(sizes, digits=4)} mm by pixdim;"
                 " correct the header, or write the image again"
             )
         if qform:
@@ -353,8 +372,3 @@ def _against_qform(path: Path, shape: tuple[int, ...], sform: Floats, qform: Flo
     if largest <= PLACE_TOLERANCE * float(np.linalg.norm(sform[:3, :3], axis=0).min()):
         return []
     return [f"{path.name}: its sform and qform differ by up to {largest:.3g} mm; sform is used"]
-
-
-def _product_text(edges: Floats) -> str:
-    """Return lengths as text: ``1 x 1 x 2.5``."""
-    return " x ".join(f"{edge:.4g}" for edge in edges)

@@ -116,7 +116,7 @@ def read(path: Path) -> LabelImage:
     Raises:
         InputError: The image cannot be read, is a CT, or has values between whole numbers.
     """
-    return _read(path, images.changed(path))
+    return _read(path, images.modification_time(path))
 
 
 @lru_cache(maxsize=2)

@@ -88,7 +88,7 @@ def body(path: Path, label: int) -> LabelBody:
         InputError: The image cannot be read, is no image of labels, does not have this one, or has
             two bodies of it.
     """
-    return _body(path, label, images.changed(path))
+    return _body(path, label, images.modification_time(path))
 
 
 @lru_cache(maxsize=2)

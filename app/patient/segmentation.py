@@ -15,6 +15,7 @@ from xml.etree import ElementTree as ET
 
 from app.foundation.errors import InputError
 from app.patient import label_image
+from app.system.layout import shortened_list
 
 # Numbers of the femora in multi-label files of TotalSegmentator, and those of the hip bones, by
 # which a version is recognized.
@@ -200,6 +201,4 @@ def _list(structures: Sequence[Structure]) -> str:
     """Return structures in words, the first ones of many; their files, if there are several."""
     several_files = len({s.path for s in structures}) > 1
     texts = [str(s) if several_files else s.label for s in structures]
-    if len(texts) > LISTED:
-        return f"{', '.join(texts[:LISTED])} and {len(texts) - LISTED} more"
-    return ", ".join(texts) or "no label"
+    return shortened_list(texts, LISTED) or "no label"

@@ -1,4 +1,4 @@
-"""Labels of points of a curve, put where they cover nothing."""
+"""Labels of the points of curves, placed without overlap."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from app.plots import figures
 # Sides of a point where its label may stand, the best first: to the right and above is (1, 1).
 SIDES = ((1, 1), (1, -1), (-1, -1), (-1, 1), (0, 1), (0, -1), (1, 0), (-1, 0))
 # Horizontal alignment of a label by its side: 0, 1 or -1.
-ACROSS = ("center", "left", "right")
+H_ALIGN = ("center", "left", "right")
 # Vertical alignment.
-ALONG = ("center", "bottom", "top")
+V_ALIGN = ("center", "bottom", "top")
 # Distance of a label from its point [points].
-APART = 5
+OFFSET = 5
 # Half the width of a marker [pixels].
 MARKER = 5.0
 
 
 def label(axes: Axes, texts: Sequence[str], x: Sequence[float], y: Sequence[float], k: int) -> None:
-    """Label the points of the k-th curve; `place` puts the labels where they cover nothing."""
+    """Label the points of the k-th curve; `place` moves the labels apart."""
     halo = [withStroke(linewidth=2.0, foreground="white")]
-    for text, *position in zip(texts, x, y, strict=True):
+    for text, x_of_point, y_of_point in zip(texts, x, y, strict=True):
         axes.annotate(
             text,
-            (position[0], position[1]),
-            xytext=(APART, APART),
+            (x_of_point, y_of_point),
+            xytext=(OFFSET, OFFSET),
             textcoords="offset points",
             color=figures.colour(k),
             fontsize=7,
@@ -41,7 +41,7 @@ def label(axes: Axes, texts: Sequence[str], x: Sequence[float], y: Sequence[floa
 
 
 def place(axes: Axes) -> None:
-    """Move the labels of points to where they cover nothing; hide those without room.
+    """Move the labels of points so that they do not overlap; hide those without room.
 
     The figure has been drawn, so that its axes have their places.
     """
@@ -54,13 +54,14 @@ def place(axes: Axes) -> None:
     for point_label in labels:
         candidates = []
         for side, (x, y) in enumerate(SIDES):
-            point_label.set(position=(APART * x, APART * y), ha=ACROSS[x], va=ALONG[y])
+            point_label.set(position=(OFFSET * x, OFFSET * y), ha=H_ALIGN[x], va=V_ALIGN[y])
             box = point_label.get_window_extent()
             outside = len(box.corners()) - axes.bbox.count_contains(box.corners())
             crossed = sum(path.intersects_bbox(box, filled=False) for path in curves)
             candidates.append((box.count_overlaps(taken_boxes) + outside, crossed, side, box))
+        # Fewest overlaps, then fewest crossed curves, then the preferred side.
         overlaps, _, side, box = min(candidates)
         x, y = SIDES[side]
-        position = (APART * x, APART * y)
-        point_label.set(position=position, ha=ACROSS[x], va=ALONG[y], visible=not overlaps)
+        position = (OFFSET * x, OFFSET * y)
+        point_label.set(position=position, ha=H_ALIGN[x], va=V_ALIGN[y], visible=not overlaps)
         taken_boxes.append(box)

@@ -76,7 +76,7 @@ class BoneMass(Record):
             r: density(r)
             * stresses.points_and_volumes(r)[1]
             @ linear_shape_functions(stresses.points[r])
-            for r in forms.by_density
+            for r in forms.density_regions
         }
         return np.array([forms.vertex_sums(forms.vertices(r), sums) for r, sums in cells.items()]).T
 
@@ -100,7 +100,7 @@ class BoneMass(Record):
         for density in (forms.density_at_start, forms.density):
             densities = {
                 region: forms.density_at(region, stresses.points[region], density)
-                for region in forms.by_density
+                for region in forms.density_regions
             }
             masses.append(
                 [
@@ -108,7 +108,7 @@ class BoneMass(Record):
                     for region, rho in densities.items()
                 ]
             )
-        rows = [("all", *map(sum, masses)), *zip(forms.by_density, *masses, strict=True)]
+        rows = [("all", *map(sum, masses)), *zip(forms.density_regions, *masses, strict=True)]
         return {
             zone: {
                 name: float(masses_after[zone] / masses_before[zone] - 1)

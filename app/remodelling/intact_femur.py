@@ -15,9 +15,10 @@ from app.remodelling.laws import Remodelling
 from app.remodelling.stimulus import Stimulus
 from app.scene.scene import Stage
 from app.simulation.model import Model
+from meshes import location
 
-# Cells in which a point is looked for: those whose centres are nearest.
-NEAR = 32
+# Number of cells in which a point is searched: those with the nearest centres.
+MAX_CANDIDATE_CELLS = 32
 
 
 def load_cases(law: Remodelling, stages: Sequence[Stage]) -> list[int]:
@@ -29,7 +30,7 @@ def load_cases(law: Remodelling, stages: Sequence[Stage]) -> list[int]:
 def stimulus_before(law: Remodelling, model: Model, target_forms: BodyForms) -> Floats:
     """Stimulus of the intact femur at the vertices of a model (n, r) [J/g]; collective."""
     intact = model.separate_model(
-        intact_case(law, model.case, target_forms.by_density), "intact femur"
+        intact_case(law, model.case, target_forms.density_regions), "intact femur"
     )
     loads, bone = intact.analysis.load_stepper(), intact.records["bone"]
     assert loads is not None and isinstance(bone, BoneMass)
@@ -68,7 +69,7 @@ def interpolate_stimulus(stimulus: Floats, forms: BodyForms, target_forms: BodyF
         body_forms.scalars.tabulate_dof_coordinates() for body_forms in (forms, target_forms)
     )
     columns = []
-    for k, region in enumerate(forms.by_density):
+    for k, region in enumerate(forms.density_regions):
         values = stimulus[:, k]
         vertices = forms.vertices(region)
         corners, corner_values = (forms.mesh.comm.allgather(v[vertices]) for v in (x, values))
@@ -81,15 +82,14 @@ def interpolate_stimulus(stimulus: Floats, forms: BodyForms, target_forms: BodyF
 def interpolated(corners: Floats, values: Floats, x: Floats) -> Floats:
     """Values at points (n, 3), linear in cells of vertices (m, 4, 3) with values (m, 4).
 
-    Points outside get the value at a border of the cell in which they would be, if it were larger.
+    A point outside all cells has a value on the surface of the nearest cell: its negative
+    barycentric coordinates there are set to zero.
     """
     from scipy.spatial import cKDTree  # 0.1 s, which most runs do without
 
-    neighbours = min(NEAR, len(corners))
+    neighbours = min(MAX_CANDIDATE_CELLS, len(corners))
     cells = cKDTree(corners.mean(axis=1)).query(x, neighbours)[1].reshape(len(x), neighbours)
-    edges = corners[cells, 1:] - corners[cells, :1]
-    last_three = np.linalg.solve(edges.swapaxes(2, 3), (x[:, None] - corners[cells, 0])[..., None])
-    barycentric = np.concatenate([1 - last_three.sum(axis=2), last_three[..., 0]], axis=2)
+    barycentric = location.barycentric_coordinates(corners[cells], x[:, None])
     best_cells = np.arange(len(x)), barycentric.min(axis=2).argmax(axis=1)
     best_barycentric = np.maximum(barycentric[best_cells], 0.0)
     return np.asarray(

@@ -37,7 +37,7 @@ class Stimulus:
     def __init__(self, law: Remodelling, bone: BoneMass, stepper: LoadStepper) -> None:
         self.bone = bone
         self._stepper = stepper
-        self._filters = [self._filter(r, law.filter) for r in bone.forms.by_density]
+        self._filters = [self._filter(r, law.filter) for r in bone.forms.density_regions]
         self._states: dict[float, PETSc.Vec] = {}
 
     def _filter(self, region: str, length: float | None) -> Callable[[Floats], Floats]:
@@ -51,7 +51,7 @@ class Stimulus:
         A = assemble_form_matrix(forms.form(forms.constant(length**2) * ufl.inner(*slopes) * dx))
         # Vertices of other regions have no entries yet.
         A.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
-        volume = self.bone.volume[:, forms.by_density.index(region)]
+        volume = self.bone.volume[:, forms.density_regions.index(region)]
         volume = np.where(volume > 0, volume, 1.0)
         A.setDiagonal(A.getDiagonal() + PETSc.Vec().createWithArray(volume[:owned], comm=A.comm))
         inverse = Inverse(A, lambda: 0, {"pc_type": "jacobi"})

@@ -25,7 +25,7 @@ from app.case import quantities
 from app.case.case import load
 from app.case.quantities import TABLE, Quantity, in_print, printed
 from app.case.summary import Numbers, Summary, name_of_implant
-from app.foundation.errors import InputError, MantleError, StoppedError, dealt, on_root
+from app.foundation.errors import InputError, MantleError, StoppedError, distribute_tasks, on_root
 from app.foundation.verdict import Severity, recorded
 from app.plots import curves, figures
 from app.report import (
@@ -183,7 +183,7 @@ def _run(
         lambda: _model(folder) if has_viewer else [],
         lambda: _pictures(case, time_allowed),
     ]
-    page_parts = dealt(comm, tasks)
+    page_parts = distribute_tasks(comm, tasks)
     if comm.rank:
         return []
     (view, no_view), model, (sides, maps, files) = page_parts
@@ -494,7 +494,7 @@ def _variations(folder: Path, share: float, comm: MPI.Comm) -> list[Path]:
     rows = on_root(comm, lambda: _json(folder / "variations.json")) or []
     run_folders = [folder / row["name"] for row in rows]
     solved_folders = [run for run in run_folders if (run / "summary.json").exists()]
-    pages_of_runs = dealt(
+    pages_of_runs = distribute_tasks(
         comm, [partial(_run, run, share, is_alone=False) for run in solved_folders]
     )
     if comm.rank:

@@ -243,7 +243,7 @@ def levels(cases: Sequence[SweptCase], key: str) -> tuple[str, list[float | None
     unit = written_units.pop() if len(written_units) == 1 else None
     if unit:
         return quantities.printed(unit), numbers
-    schema_unit = keys.unit(key)
+    schema_unit = keys.internal_unit(key)
     for k, match in enumerate(matches):
         if match and match[2]:
             numbers[k] = None

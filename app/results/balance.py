@@ -127,7 +127,7 @@ class Balance:
             if region not in body_forms.path_dependent_regions:
                 work = self._work_of(elastic[region], swelling)
                 self._swelling.append((free_strain, body_forms.form(work)))
-        if body_forms.by_density:
+        if body_forms.density_regions:
             self._strain_work, self._swelling = [], []
         self._setting: list[tuple[int, fem.Form]] = []
         self._set: fem.Form | None = None
@@ -207,7 +207,7 @@ class Balance:
         elastic = [(b, assemble_form_vector(form)) for b, form in self._internal]
         energy = self._elastic_energy(elastic)
         inner = problem.forces.action([*elastic, *setting])
-        if problem.body_forms.by_density:
+        if problem.body_forms.density_regions:
             setting, energy = [*setting, *elastic], 0.0
         acting = problem.forces.applied(problem.load_time)
         unbalanced, jump = inner.nodal - acting.nodal, np.zeros_like(acting.jump)

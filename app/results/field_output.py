@@ -316,7 +316,9 @@ class MechanicalFields:
     def of_cells(self, cells: int) -> dict[str, Floats]:
         """Return varying Young's moduli [MPa], changing densities, fields of records (cells,)."""
         stresses, forms = self._stresses, self._problem.body_forms
-        density = {r: forms.density_at(r, CENTRE, forms.density)[:, 0] for r in forms.by_density}
+        density = {
+            r: forms.density_at(r, CENTRE, forms.density)[:, 0] for r in forms.density_regions
+        }
         fields: dict[str, Floats] = {}
         for record in self._records:
             fields |= record.cell_fields(cells)

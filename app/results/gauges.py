@@ -142,7 +142,7 @@ def _gauge(problem: Problem, surface: _Surface, name: str, gauge: StrainGauge) -
     try:
         points = gauge_points(surface.x, gauge.at, gauge.towards, gauge.direction, gauge.diameter)
     except GaugeFault as fault:
-        raise InputError(f"output.probes.{name}.{fault.key}: {fault}; {fault.cure}") from fault
+        raise InputError(f"output.probes.{name}.{fault.key}: {fault}; {fault.remedy}") from fault
     return _on_this_rank(problem, surface, points)
 
 

@@ -182,24 +182,24 @@ class ContactSamples:
     ) -> None:
         contact, state = trial.contact, trial.contact.state
         local, points = contact.local, contact.points
-        surface = points.surface
+        corners = points.surface
 
         def at_corners(values: Floats) -> Floats:
-            return surface.spread(contact.gather(values))
+            return corners.spread(contact.gather(values))
 
         def distributed(values: Floats) -> Floats:
             """Distribute amounts at the contact points to their corners, by area."""
-            return at_corners(values / local.weight) * surface.weight
+            return at_corners(values / local.weight) * corners.weight
 
         def motion_since(jumps: Floats | float) -> Floats:
             """Motion of the corners since jumps of local points (n, 3) [mm]."""
-            return surface.true_jumps(contact.gather(trial.jump - jumps))
+            return corners.true_jumps(contact.gather(trial.jump - jumps))
 
-        self.all_corners = surface
-        self.interface, self.x, self.weight = surface.interface, surface.x, surface.weight
+        self.all_corners = corners
+        self.interface, self.x, self.weight = corners.interface, corners.x, corners.weight
         motion = motion_since(0.0)
-        opening = np.einsum("pi,pki->pk", motion + at_corners(contact.gap), surface.normals)
-        is_face = np.arange(3)[None, :] < surface.faces[:, None]
+        opening = np.einsum("pi,pki->pk", motion + at_corners(contact.gap), corners.normals)
+        is_face = np.arange(3)[None, :] < corners.faces[:, None]
         self.gap = np.where(is_face, opening, 0.0)
         self.opening = np.max(opening, axis=1, where=is_face, initial=-np.inf)
         # The law holds at the contact points. Some of them have the mean jump of several corners.
@@ -210,14 +210,14 @@ class ContactSamples:
         signs = np.array([-1.0 if c.swapped else 1.0 for c in contacts])
         sign = signs[local.interface][:, None]
         self.slip, self.path = at_corners(sign * state.slip), at_corners(state.path)
-        self.motion = signs[surface.interface][:, None] * motion
+        self.motion = signs[corners.interface][:, None] * motion
         pressures, friction = least_friction(trial)
-        self._pressures = surface.spread_pressures(contact.gather(pressures))
-        self.pressure = normal_pressure(self._pressures, surface.normals)
+        self._pressures = corners.spread_pressures(contact.gather(pressures))
+        self.pressure = normal_pressure(self._pressures, corners.normals)
         self.shear = at_corners(np.linalg.norm(friction, axis=1))
-        self.force = surface.spread_forces(contact.gather(-sign * state.force))
+        self.force = corners.spread_forces(contact.gather(-sign * state.force))
         status = contact.gather(status_at_rest(trial).astype(float))
-        self.status = surface.spread_status(status.astype(np.int64))
+        self.status = corners.spread_status(status.astype(np.int64))
         self.dissipation = distributed(state.dissipation)
         self.smallest_dissipation = distributed(state.smallest_dissipation)
         self.contact_work = distributed(state.contact_work)
@@ -234,7 +234,7 @@ class ContactSamples:
             "shear": self.shear,
         }
         if any(c.press_fit for c in contacts):
-            self.micromotion = signs[surface.interface][:, None] * motion_since(state.inserted)
+            self.micromotion = signs[corners.interface][:, None] * motion_since(state.inserted)
             self.sizes["micromotion"] = np.linalg.norm(self.micromotion, axis=1)
         if since is not None:
             self.sizes["inducible"] = np.linalg.norm(motion_since(since), axis=1)
@@ -243,7 +243,7 @@ class ContactSamples:
         pressed = np.linalg.norm(state.slip, axis=1) * points.normal_error[local.rows]
         self.by_facets = contact.gather(contact.law.local_stiffness * pressed)
         self.facet_sizes = contact.edge_lengths
-        self.surfaces = parts or [Surface(surface, i, {}) for i in range(len(contacts))]
+        self.surfaces = parts or [Surface(corners, i, {}) for i in range(len(contacts))]
 
     @cached_property
     def tractions(self) -> list[dict[str, TractionSize]]:

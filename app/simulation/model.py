@@ -209,7 +209,7 @@ class Model:
         earlier: Model | None = None
         for model in self._other_models if not self.scene.stiffness_varies else ():
             mechanics = model.mechanical_path
-            if mechanics is None or mechanics.problem.body_forms.by_density:
+            if mechanics is None or mechanics.problem.body_forms.density_regions:
                 continue
             if model.deforms_like(case):
                 earlier = model

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from app.case.case import Case
-from app.case.quantities import TABLE
+from app.case.quantities import TABLE, Quantity
 from app.case.section_loads import section_loads
 from app.case.summary import Numbers, Summary, merge
 from app.foundation.arrays import Floats, Ints
@@ -174,20 +174,15 @@ class Recorder:
                 )
             self.total.count(step.outcome)
             stem_motion = mechanics.stem(self._case.side)
-            columns = [
-                q for key, q in TABLE["stem"].items() if q.step_record and key in stem_motion
-            ]
-            self.mechanical_row = self._row_of(step, balance)
-            self.mechanical_row |= {f"stem {q.key} [{q.unit}]": stem_motion[q.key] for q in columns}
-            for record in self._model.records.values():
-                self.mechanical_row |= record.step_record()
-            self._turn(step, {q.key: stem_motion[q.key] for q in columns}, trial)
+            self.mechanical_row = self._mechanical_columns(step, balance, stem_motion)
+            stem_columns = _stem_columns(stem_motion)
+            self._record_reversal(step, {q.key: stem_motion[q.key] for q in stem_columns}, trial)
             # In stages that take time, rows are written at the more frequent steps of heat.
             if not self._stage.takes_time:
-                self._row(step)
-                self._line(step)
+                self._write_row(step)
+                self._log_step(step)
 
-    def _turn(self, step: LoadStep, stem: Numbers, trial: TrialState | None) -> None:
+    def _record_reversal(self, step: LoadStep, stem: Numbers, trial: TrialState | None) -> None:
         """Store the numbers at peaks and valleys of a stage with cycles."""
         reversal = self._stage.reversal(step.time)
         if not (_has_valleys(self._stage) and step.ends_increment and reversal):
@@ -204,9 +199,9 @@ class Recorder:
             t = self._model.thermal
             if t:
                 self._log(closing_lines.heat_line(step.number, accepted, t.row(), wall))
-            self._row(step)
+            self._write_row(step)
 
-    def _line(self, step: LoadStep) -> None:
+    def _log_step(self, step: LoadStep) -> None:
         interfaces = self.samples.step_numbers if self.samples else {}
         fractions = self._fraction(OPEN), self._fraction(SLIP)
         deepest = max((q["penetration_max"] for q in interfaces.values()), default=0.0)
@@ -222,7 +217,12 @@ class Recorder:
             self._header = ""
         log.info("%s", line)
 
-    def _row_of(self, step: LoadStep, balance: Balance) -> Row:
+    def _mechanical_columns(self, step: LoadStep, balance: Balance, stem_motion: Numbers) -> Row:
+        """Columns of history.csv that mechanics computes.
+
+        They are those of the solver and of creep, of probes, of interfaces, bonds and the stem
+        (rows of `case.quantities` with `step_record`), and of records (`results.records`).
+        """
         row: Row = {
             "newton [-]": step.outcome.iterations,
             "krylov [-]": step.outcome.linear_iterations,
@@ -246,9 +246,13 @@ class Recorder:
         for name, q in mechanics.bonds.numbers(strong=True).items() if mechanics else ():
             columns = [c for c in TABLE["bonds"].values() if c.step_record]
             row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns}
+        row |= {f"stem {q.key} [{q.unit}]": stem_motion[q.key] for q in _stem_columns(stem_motion)}
+        for record in self._model.records.values():
+            row |= record.step_record()
         return row
 
-    def _row(self, step: LoadStep) -> None:
+    def _write_row(self, step: LoadStep) -> None:
+        """Write a row of history.csv: the columns of mechanics, then those of heat."""
         self.time = step.time
         self.step_count += 1
         row: Row = {"step": self.step_count, "time [-]": step.time, **self.mechanical_row}
@@ -359,6 +363,11 @@ class Recorder:
             f"last converged state: time {self.time:.4g} (step {self.step_count}) "
             f"in {self.writer.folder}"
         )
+
+
+def _stem_columns(stem_motion: Numbers) -> list[Quantity]:
+    """Quantities of the stem in history.csv, those that the run has."""
+    return [q for key, q in TABLE["stem"].items() if q.step_record and key in stem_motion]
 
 
 def _has_valleys(stage: Stage) -> bool:

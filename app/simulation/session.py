@@ -36,6 +36,7 @@ from app.simulation.checkpoint import CheckpointWriter
 from app.simulation.model import Model
 from app.simulation.recorder import OnAccepted, Recorder
 from app.soundness import preview, result_notes
+from app.stepping.load_steps import Effort
 from app.system import form_cache, ranks, stopping
 from app.system.folders import FAILED, claim, prepare_run, remove, saved, write_text
 from app.system.layout import count, several
@@ -112,10 +113,10 @@ def run(
             "to another MPI; use the one of this installation, or mantle run -n"
         )
     lifetime.begin_run(comm)
-    signalled = stopping.signals() if signals else str
+    signalled = stopping.signals() if signals else _never
     if signals:  # not in a host's process, whose handlers and options stay as they are
         form_cache.guard()
-    time_limit = str if walltime is None else stopping.WallTime(begin, walltime)
+    time_limit = _never if walltime is None else stopping.WallTime(begin, walltime)
     setup = Setup(
         comm,
         case,
@@ -142,6 +143,11 @@ def run(
             verdicts.check_usable({output: summary})
     log.info("results in %s", output)
     return comm
+
+
+def _never() -> str:
+    """Name of a signal that never comes."""
+    return ""
 
 
 def _solve_variations(setup: Setup, output: Path) -> None:
@@ -302,9 +308,21 @@ class _CaseRun:
             ConvergenceError: A solve failed. The last converged state, if any, is on disk.
             StoppedError: A signal stopped the run. That state and a checkpoint are on disk.
         """
-        setup, case, model = self._setup, self._case, self._model
+        total = self._solve()
+        summary, notes = self._recorded(total)
+        self._add_condition_number(summary)
+        self._add_errors(summary, notes)
+        self._add_bone_influence(summary, notes)
+        self._writer.finish(summary, complete=True)
+        if self._case.output.checkpoint == CheckpointOptions():
+            # No periodic checkpoints: those of interruptions are no longer needed.
+            on_root(self._setup.comm, partial(remove, saved(self._folder)), share=False)
+        return summary
+
+    def _solve(self) -> Effort:
+        """Solve all stages; collective."""
         with self._last_state_kept():
-            total = model.run(
+            return self._model.run(
                 self._recorder.step,
                 self._recorder.heat,
                 lambda s: log.info("     %s", s),
@@ -312,6 +330,10 @@ class _CaseRun:
                 self._checkpoints.mark,
                 self._checkpoints.resume,
             )
+
+    def _recorded(self, total: Effort) -> tuple[Summary, list[Verdict]]:
+        """Return the summary of the last state, with its verdicts, and its notes; collective."""
+        setup, case, model = self._setup, self._case, self._model
         if clock.perf_counter() - setup.begin > LONG:
             log.info("     computing and writing results")
         with setup.timing.phase("output"):
@@ -322,30 +344,39 @@ class _CaseRun:
         if verdicts.reasons_not_to_use(summary):
             summary["status"] = UNUSABLE
         setup.log_notes(notes)
-        if case.output.condition and model.mechanical_path:
-            A = model.mechanical_path.solver.snes.getJacobian()[0]
+        return summary, notes
+
+    def _add_condition_number(self, summary: Summary) -> None:
+        """Add the condition number of the last Jacobian, if requested; collective."""
+        mechanics = self._model.mechanical_path
+        if self._case.output.condition and mechanics:
+            A = mechanics.solver.snes.getJacobian()[0]
             summary["solver"]["condition"] = condition_number(A)
+
+    def _add_errors(self, summary: Summary, notes: list[Verdict]) -> None:
+        """Add estimated errors, if requested; collective."""
+        setup, case = self._setup, self._case
         companions = error_estimate.companions(case)
-        if companions:
-            # The numbers are on disk before their errors are computed.
-            self._writer.finish(summary, complete=False)
-            with setup.timing.phase("error"), self._last_state_kept():
-                summary["error"] = accuracy.add_errors(summary, case, companions, model)
-            if setup.chosen:
-                summary["accuracy"] = accuracy.reached_text(setup.chosen, summary)
-            summary["timing"] = self._recorder.seconds()
+        if not companions:
+            return
+        # The numbers are on disk before their errors are computed.
+        self._writer.finish(summary, complete=False)
+        with setup.timing.phase("error"), self._last_state_kept():
+            summary["error"] = accuracy.add_errors(summary, case, companions, self._model)
+        if setup.chosen:
+            summary["accuracy"] = accuracy.reached_text(setup.chosen, summary)
+        summary["timing"] = self._recorder.seconds()
+        verdicts.record(summary, notes)
+
+    def _add_bone_influence(self, summary: Summary, notes: list[Verdict]) -> None:
+        """Add the influence of the assumed bone, if there is any; collective."""
+        if not self._case.geometry.other_bones:
+            return
+        with self._setup.timing.phase("influence"), self._last_state_kept():
+            influence = bone_influence.estimate(self._case, self._model)
+        if influence:
+            summary["assumed_bone"] = influence
             verdicts.record(summary, notes)
-        if case.geometry.other_bones:
-            with setup.timing.phase("influence"), self._last_state_kept():
-                influence = bone_influence.estimate(case, model)
-            if influence:
-                summary["assumed_bone"] = influence
-                verdicts.record(summary, notes)
-        self._writer.finish(summary, complete=True)
-        if case.output.checkpoint == CheckpointOptions():
-            # No periodic checkpoints: those of interruptions are no longer needed.
-            on_root(setup.comm, partial(remove, saved(self._folder)), share=False)
-        return summary
 
 
 def _unknowns(sizes: Mapping[str, int]) -> str:

@@ -242,15 +242,18 @@ def explain(
         far_text = loose_bodies.runaway(problem, trial)
     friction = [] if loose_texts or far_text else loose_bodies.sliding(problem, contact)
     friction += beyond_critical(problem)[1]
-    cause = Verdict(_residuals(outcome), remedy=AT_REST if scales else SMALLER)
-    if breaks:
-        cause = replace(cause, remedy=BREAKS)
-    if friction:
-        cause = replace(cause, remedy=f"{cause.remedy}; or change the friction, or add a support")
-    if far_text:
-        cause = Verdict(far_text.what, remedy=FAR, code=Reason.LARGE_DISPLACEMENT)
+    # The first hypothesis that holds is the cause.
     if loose_texts:
         cause = Verdict(loose_texts[0], remedy=loose_bodies.HOLD, code=Reason.LOOSE_BODY)
+    elif far_text:
+        cause = Verdict(far_text.what, remedy=FAR, code=Reason.LARGE_DISPLACEMENT)
+    else:
+        remedy = AT_REST if scales else SMALLER
+        if breaks:
+            remedy = BREAKS
+        if friction:
+            remedy += "; or change the friction, or add a support"
+        cause = Verdict(_residuals(outcome), remedy=remedy)
     other_causes = [bare_verdict(text) for text in loose_texts[1:]]
     other_causes += friction
     other_causes += map(

@@ -287,17 +287,12 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
     pressures may hold it. A taper that is pulled has no pressures: nothing bears its load, however
     small it is.
     """
-    local, n, comm = contact.local, len(problem.bodies.names), problem.comm
-    resistance = np.zeros((n, 6, n, 6))
-    for b, part in supported(problem).items():
-        resistance[b, :, b] += part
-    sizes, motions = np.linalg.eigh(resistance.reshape(6 * n, 6 * n))
-    unresisted = motions[:, sizes <= FREE * sizes[-1]]
+    local, comm = contact.local, problem.comm
+    unresisted = _motions_without_support(problem)
     if not unresisted.shape[1]:
         return []
     loads = unresisted.T @ _on_bodies(problem)
     jumps = contact.relative_motion(unresisted)
-    openings = local.normals @ jumps
     frictions = _frictions(problem)
     # Motions are scaled by their mean square jump: a narrow interface resists rolling.
     gram = comm.allreduce(np.einsum("pia,pib->ab", jumps, jumps))
@@ -307,20 +302,7 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
     mixed = frictions.min() == 0 < frictions.max()
     may_stick = frictions[local.interface] > 0
     for stick in [np.zeros_like(may_stick), may_stick][: 1 + mixed]:
-        remaining_loads: Floats = loads
-        springs = np.zeros_like(metric)
-        pressures, shear = np.zeros((2, len(local), 3))
-        for _ in range(LOADINGS):
-            for _ in range(MOST):  # Newton's method for compressed springs
-                closing = openings @ remaining_loads < SPRING**2 * pressures
-                sticking = closing.any(axis=1) & stick
-                rows = np.vstack([openings[closing], jumps[sticking].reshape(-1, len(loads))])
-                point_forces = np.concatenate([pressures[closing], shear[sticking].ravel()])
-                springs, borne = (comm.allreduce(rows.T @ part) for part in (rows, point_forces))
-                soft = np.eye(len(loads)) + springs / SPRING**2
-                remaining_loads = np.linalg.solve(soft, loads + borne)
-            pressures = np.maximum(0.0, pressures - openings @ remaining_loads / SPRING**2)
-            shear = np.where(sticking[:, None], shear - jumps @ remaining_loads / SPRING**2, 0.0)
+        springs, pressures = _compressed_springs(problem, contact, jumps, loads, stick)
         # A large load that springs bear must not hide a small load that nothing bears.
         sizes, motions = np.linalg.eigh(scale.T @ springs @ scale)
         free_motions = np.linalg.qr(scale @ motions[:, sizes < SPRING**2 * (1 / UNBORNE - 1)])[0]
@@ -330,6 +312,48 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
         if motion_texts:
             return motion_texts
     return []
+
+
+def _motions_without_support(problem: Problem) -> Floats:
+    """Rigid motions of all bodies that no support resists, as columns (6 n, m); collective."""
+    n = len(problem.bodies.names)
+    resistance = np.zeros((n, 6, n, 6))
+    for b, part in supported(problem).items():
+        resistance[b, :, b] += part
+    sizes, motions = np.linalg.eigh(resistance.reshape(6 * n, 6 * n))
+    return np.asarray(motions[:, sizes <= FREE * sizes[-1]])
+
+
+def _compressed_springs(
+    problem: Problem, contact: ContactInterfaces, jumps: Floats, loads: Floats, stick: Bools
+) -> tuple[Floats, Floats]:
+    """Stiffness of the compressed springs (m, m), and pressures of local faces (p, 3); collective.
+
+    Args:
+        problem: The problem.
+        contact: Its interfaces.
+        jumps: Jumps of local points by motions of the bodies (p, 3, m).
+        loads: Work of the loads in these motions (m,).
+        stick: True for points that stick if they are closed (p,).
+    """
+    openings = contact.local.normals @ jumps
+    remaining_loads: Floats = loads
+    springs = np.zeros((len(loads), len(loads)))
+    pressures, shear = np.zeros((2, len(contact.local), 3))
+    for _ in range(LOADINGS):
+        for _ in range(MOST):  # Newton's method for compressed springs
+            closing = openings @ remaining_loads < SPRING**2 * pressures
+            sticking = closing.any(axis=1) & stick
+            rows = np.vstack([openings[closing], jumps[sticking].reshape(-1, len(loads))])
+            point_forces = np.concatenate([pressures[closing], shear[sticking].ravel()])
+            springs, borne = (
+                problem.comm.allreduce(rows.T @ part) for part in (rows, point_forces)
+            )
+            stiffness = np.eye(len(loads)) + springs / SPRING**2
+            remaining_loads = np.linalg.solve(stiffness, loads + borne)
+        pressures = np.maximum(0.0, pressures - openings @ remaining_loads / SPRING**2)
+        shear = np.where(sticking[:, None], shear - jumps @ remaining_loads / SPRING**2, 0.0)
+    return springs, pressures
 
 
 def held_by_facets(problem: Problem, trial: TrialState) -> Verdict | None:

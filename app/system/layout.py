@@ -55,6 +55,18 @@ def several(number: int, noun: str) -> str:
     return f"{count(number)} {noun}{'' if number == 1 else 's'}"
 
 
+def times_text(values: Iterable[float], digits: int = 6) -> str:
+    """Numbers of a product: 512 x 512, 1 x 1 x 2.5."""
+    return " x ".join(f"{value:.{digits}g}" for value in values)
+
+
+def shortened_list(names: Iterable[str], most: int) -> str:
+    """First names of a list, and the number of the others: a, b, c and 2 more."""
+    all_names = list(names)
+    remainder = f" and {len(all_names) - most} more" if len(all_names) > most else ""
+    return ", ".join(all_names[:most]) + remainder
+
+
 def point_text(x: Iterable[float]) -> str:
     """Coordinates of a point as text [mm]."""
     return "({:.4g}, {:.4g}, {:.4g}) mm".format(*(round(float(v), 4) + 0.0 for v in x))

@@ -265,7 +265,7 @@ def test_ranks_error_on_one_is_printed_once_and_ends_all(tmp_path: Path) -> None
 
 DEALT = """
 from mpi4py import MPI
-from app.foundation.errors import InputError, dealt
+from app.foundation.errors import InputError, distribute_tasks
 
 comm = MPI.COMM_WORLD
 
@@ -273,10 +273,10 @@ def fail():
     raise InputError("wrong")
 
 for n in (0, 1, 3, 5):
-    shares = dealt(comm, [lambda k=k: (k, comm.rank) for k in range(n)])
+    shares = distribute_tasks(comm, [lambda k=k: (k, comm.rank) for k in range(n)])
     assert shares == ([(k, k % comm.size) for k in range(n)] if comm.rank == 0 else [])
 try:
-    dealt(comm, [int, fail, int])
+    distribute_tasks(comm, [int, fail, int])
 except InputError as error:
     assert str(error) == "wrong"
 else:
