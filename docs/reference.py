@@ -211,7 +211,7 @@ def _exit_codes() -> Iterator[str]:
     codes = {
         kind.exit_code: (kind.__doc__ or "").partition(";")[0].rstrip(".") + "."
         for kind in kinds
-        if kind not in (errors.MantleError, errors.AloneError)
+        if kind not in (errors.MantleError, errors.RankError)
     }
     codes[errors.MantleError.exit_code] = "An error of mantle itself. Please report it."
     for code, text in sorted((CODES | codes).items()):
