@@ -186,9 +186,9 @@ def test_images_padding_is_no_air(tmp_path: Path) -> None:
     values = np.maximum(VALUES, -900)
     values[:2] = -2000
     np.savez(tmp_path / "ct.npz", values=values, affine=PLACES)
-    assert images.read(tmp_path / "ct.npz").least == values[2:].min()
+    assert images.read(tmp_path / "ct.npz").min_measured == values[2:].min()
     np.savez(tmp_path / "padding.npz", values=0 * values - 2000, affine=PLACES)
-    assert images.read(tmp_path / "padding.npz").least == -2000
+    assert images.read(tmp_path / "padding.npz").min_measured == -2000
 
 
 def test_images_nan_voxels_matter_only_where_needed(
@@ -200,7 +200,7 @@ def test_images_nan_voxels_matter_only_where_needed(
     image = images.read(nifti(tmp_path / "ct.nii.gz", values=values))
     lost = 2 * 10 * 8 + 1
     assert image.summary[1] == f"{lost} voxels are not numbers"
-    assert image.dense == np.percentile(values[np.isfinite(values)], 99.9)
+    assert image.percentile_99_9 == np.percentile(values[np.isfinite(values)], 99.9)
     inside = (PLACES @ [6.5, 2.5, 4.5, 1])[:3]
     assert np.isfinite(image.values_at(inside[None])).all()
     for index, message in (

@@ -207,5 +207,5 @@ output:
       diameter: 2 mm}
 """
     (tmp_path / "case.yaml").write_text(text)
-    with pytest.raises(InputError, match=r"probes\.gauge: every region is a conductor, which is "):
+    with pytest.raises(InputError, match=r"probes\.gauge: every region is a conductor, which has "):
         mantle.load(tmp_path / "case.yaml")
