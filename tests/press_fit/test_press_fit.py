@@ -400,7 +400,7 @@ def test_press_fit_shear_obeys_the_elastic_layer(tmp_path: Path) -> None:
 def test_press_fit_of_straight_cells_converges(size: int, tmp_path: Path) -> None:
     """Corners of the stem are round, although facets of coarse cells meet there at 45 degrees.
 
-    With two faces for a corner, friction of 0.3 without an elastic layer has no equilibrium.
+    With two faces for a corner no solver converges for friction of 0.3 without an elastic layer.
     """
     changes = {
         "mesh": {"size": f"{size} mm", "order": 1},
