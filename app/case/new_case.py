@@ -18,8 +18,8 @@ from app.foundation.errors import InputError, MantleError
 
 # Pairs of regions of a mesh that meet, and its interior surfaces.
 Meeting = Callable[[Any, Any], tuple[list[tuple[str, str]], list[str]]]
-# Writer of a case by a segmentation: file, labels, CT, side, label, whether the stem is without
-# cement; its lines say what is assumed.
+# Writer of a case by a segmentation: file, labels, CT, side, label, and True for a stem without
+# cement. It returns the file and lines on what is assumed.
 FromLabels = Callable[
     [Path, Path, Path | None, str | None, str | None, bool], tuple[Path, list[str]]
 ]
@@ -49,7 +49,7 @@ def write(
         stem: Material of its stem, one of `STEMS`; by default titanium.
         meeting: Function that returns the pairs of regions of a mesh that meet
             (`meshes.meeting`); by default none meet.
-        cementless: Whether the stem is without cement.
+        cementless: True for a stem without cement.
 
     Raises:
         InputError: The file exists or cannot be written; the kind has no stem.
@@ -102,30 +102,15 @@ def add_from_labels(proposal: FromLabels) -> None:
     _FROM_LABELS.append(proposal)
 
 
-def from_labels(
-    path: Path,
-    labels: Path,
-    ct: Path | None,
-    side: str | None,
-    label: str | None,
-    cementless: bool = False,
-) -> tuple[Path, list[str]]:
-    """Write a new case of the femur in a segmentation; return its file and what was assumed.
-
-    Args:
-        path: The new file.
-        labels: File or folder of the segmentation.
-        ct: CT of the same bone.
-        side: Side of the femur, where there are two.
-        label: Name or number of the femur's label.
-        cementless: Whether the stem is without cement.
+def labels_writer() -> FromLabels:
+    """Return the function that writes a new case of the femur in a segmentation.
 
     Raises:
-        InputError: There is not one femur, no stem fits, or the file exists or cannot be written.
+        InputError: No package of this installation reads segmentations.
     """
     if not _FROM_LABELS:
         raise InputError("--labels: this installation has no package that reads segmentations")
-    return _FROM_LABELS[-1](path, labels, ct, side, label, cementless)
+    return _FROM_LABELS[-1]
 
 
 def _of_mesh_file(mesh: Path, meeting: Meeting | None) -> str:

@@ -147,7 +147,8 @@ def _init(options: argparse.Namespace) -> int:
     _check_init(options)
     if options.labels:
         label_options = options.labels, options.ct, options.side, options.label
-        path, assumed = new_case.from_labels(options.name, *label_options, options.cementless)
+        write = new_case.labels_writer()
+        path, assumed = write(options.name, *label_options, options.cementless)
         for line in assumed:
             print(f"- {line}")
     else:

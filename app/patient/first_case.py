@@ -135,7 +135,7 @@ def write(
         ct: CT of the same bone, by which the canal is known.
         side: Side of the femur; None: by its name, or its landmarks.
         label: Name or number of the femur's label.
-        cementless: Whether the stem is without cement.
+        cementless: True for a stem without cement.
 
     Returns:
         The file, and lines on what was assumed.
@@ -248,6 +248,7 @@ def _stem(fixation: Fixation, length: float, width: float, femur: PatientBone) -
     """Return keys of a stem with the offset of the patient's head, as far as its neck allows."""
     offset = min(max(round(float(femur.head[0])), OFFSET_RANGE[0]), OFFSET_RANGE[1])
     stem: dict[str, object] = {"length": f"{length:g} mm", "head_offset": f"{offset:g} mm"}
+    # Widths of a parametric stem without keys need none.
     for key, size in fixation.widths.items():
         width_of_key = round(width * size, 2)
         if width_of_key != Stem.model_fields[key].default:

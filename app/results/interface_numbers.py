@@ -81,8 +81,9 @@ def least_friction(trial: TrialState) -> tuple[Floats, Floats]:
     pressures[rows] = on_faces
     friction[rows] += np.einsum("pk,pki->pi", change, normals[rows])
     has_layer = (contact.local.faces > 1) & contact.law.compliance.any(axis=(1, 2))
-    spans = np.linalg.pinv(normals[has_layer]) @ normals[has_layer]
-    friction[has_layer] -= np.einsum("pij,pj->pi", spans, friction[has_layer])
+    duals = dual_vectors(normals[has_layer])
+    along_normals = np.einsum("pki,pi->pk", duals, friction[has_layer])
+    friction[has_layer] -= np.einsum("pk,pki->pi", along_normals, normals[has_layer])
     return pressures, friction
 
 

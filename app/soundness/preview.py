@@ -265,8 +265,8 @@ def input_notes(case: Case) -> list[Verdict]:
     limits = dict.fromkeys(("temperature", "ambient"), TEMPERATURES)
     for name, condition in case.heat.items():
         notes += _far_off(f"heat.{name}", condition, limits)
-    for warn in _INPUT_NOTES:
-        notes += warn(case)
+    for notes_of in _INPUT_NOTES:
+        notes += notes_of(case)
     return notes
 
 
@@ -335,14 +335,16 @@ def _falling_loads(case: Case) -> Iterable[Verdict]:
     Loads that have fallen to the valley of these cycles before are no fault.
     """
     has_table = any(load.cycle is not None for load in case.loads.values())
-    for k, stage in enumerate(case.stages[1:] if not has_table else (), 1):
+    for k, stage in enumerate(case.stages):
+        if k == 0 or stage.cycles == 1 or has_table:
+            continue
         valley_of_load: dict[str, float] = {}
         for name, load in case.loads.items():
             history = load.history or (1.0,) * len(case.stages)
             before, after = abs(history[k - 1]), abs(history[k])
             if after < before and before > stage.valley * max(map(abs, history)):
                 valley_of_load[name] = before + stage.valley * (after - before)
-        if stage.cycles > 1 and valley_of_load:
+        if valley_of_load:
             first, *others = valley_of_load
             names = f"{first} and {several(len(others), 'other load')}" if others else first
             parts = sorted({f"{100 * part:.0f}" for part in valley_of_load.values()}, key=float)

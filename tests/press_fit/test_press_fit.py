@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import app.extensions  # noqa: F401 (registers the package)
 import mantle
 from app.case.case import load
 from app.foundation.errors import InputError
+from app.foundation.verdict import Verdict
 from app.laws.interface_laws import Coulomb, insertion_stages
 from app.laws.values import NoStem, gap_settled
 from app.press_fit.findings import _beyond_yield, _ingrowth, _raised_collar
@@ -155,43 +157,38 @@ def test_press_fit_zones_have_the_pressure_after_the_insertion(tmp_path: Path) -
     assert numbers["coated"]["insertion_pressure_mean"] == pytest.approx(pressure, rel=1e-6)
 
 
-def test_press_fit_raises_a_collar() -> None:
-    """Also a collar of which a corner still touches; not one that is seated or has a clearance."""
-    collar = {
-        "insertion_gap_mean": 0.0129,
-        "insertion_gap_p95": 0.0158,
-        "insertion_open_fraction": 0.97,
+def raised_collar(
+    rise: float, gap_mean: float, gap_p95: float, open_fraction: float
+) -> list[Verdict]:
+    """Verdicts on a collar by the rise of its stem and its gaps [mm] after the insertion."""
+    collar: Any = {
+        "insertion_gap_mean": gap_mean,
+        "insertion_gap_p95": gap_p95,
+        "insertion_open_fraction": open_fraction,
         "insertion_pressure_max": 0.08,
     }
-    summary = {
+    summary: Any = {
         "interfaces": {"collar_bone": collar},
-        "stem": {"insertion_subsidence": -0.0158},
+        "stem": {"insertion_subsidence": -rise},
     }
-    (verdict,) = _raised_collar(summary)
+    return [*_raised_collar(summary)]
+
+
+def test_press_fit_raises_a_collar() -> None:
+    """Also a collar of which a corner still touches; not one that is seated or has a clearance."""
+    (verdict,) = raised_collar(0.0158, 0.0129, 0.0158, 0.97)
     assert "raises the stem by 15.8 um" in verdict.what and "-0.016 mm" in verdict.remedy
     assert "97 % of its collar is off the bone, by 12.9 um in the mean" in verdict.what
     for other_gap in (1.0158, 0.001, 0.0):
-        collar["insertion_gap_mean"] = other_gap
-        assert not [*_raised_collar(summary)]
+        assert not raised_collar(0.0158, other_gap, 0.0158, 0.97)
 
 
 def test_press_fit_collar_with_a_gap_is_raised_only_if_most_of_it_is_off_the_bone() -> None:
     """A tilted collar. The stem rises by 7.8 and 8.9 um at gaps of -0.007 and -0.016 mm."""
-    collar = {
-        "insertion_gap_mean": 0.0044,
-        "insertion_gap_p95": 0.0085,
-        "insertion_open_fraction": 0.65,
-    }
-    summary = {
-        "interfaces": {"collar_bone": collar},
-        "stem": {"insertion_subsidence": -0.0078},
-    }
-    (verdict,) = _raised_collar(summary)
+    (verdict,) = raised_collar(0.0078, 0.0044, 0.0085, 0.65)
     assert "change the `gap` of interfaces.collar_bone by -0.009 mm" in verdict.remedy
     assert "seat" not in verdict.remedy
-    collar |= {"insertion_gap_mean": 0.0055, "insertion_open_fraction": 0.35}
-    summary["stem"]["insertion_subsidence"] = -0.0089
-    assert not [*_raised_collar(summary)]
+    assert not raised_collar(0.0089, 0.0055, 0.0085, 0.35)
 
 
 def test_press_fit_collar_that_the_flanks_pull_has_no_share() -> None:
