@@ -154,7 +154,11 @@ FILLING_STEM = {
     "tip_corner_radius": "4 mm",
 }
 PRESSED: dict[str, dict[str, Any]] = {
-    "pressed": {"base": "pressed"},
+    "pressed": {
+        "base": "pressed",
+        "geometry": {"stem": {"tip_half_width": "5.5 mm", "tip_half_depth": "5.5 mm"}},
+        "interfaces": {"stem_bone": {"interference": "0.02 mm"}},
+    },
     "pressed_rigid": {
         "base": "pressed",
         "geometry": {"stem": {"tip_half_width": "5 mm", "tip_half_depth": "5 mm"}},

@@ -243,6 +243,7 @@ class ContactSamples:
         # If a normal is wrong by an angle, slip times this angle is an overlap with pressure.
         pressed = np.linalg.norm(state.slip, axis=1) * points.normal_error[local.rows]
         self.by_facets = contact.gather(contact.law.local_stiffness * pressed)
+        self._body_stiffness = at_corners(contact.law.local_stiffness)
         self.facet_sizes = contact.edge_lengths
         self.surfaces = parts or [Surface(corners, i, {}) for i in range(len(contacts))]
 
@@ -265,7 +266,29 @@ class ContactSamples:
         if self.contacts[i].law.layer is None:
             means["shear"] = shear_of_faces(self.shear, self._pressures, means["pressure"])
         point_means["pressure"] = self._pressures.sum(axis=1)
-        return {k: TractionSize(m, surface.sharpened(m), point_means[k]) for k, m in means.items()}
+        shares = self._recovered_shares(i)
+        return {
+            k: TractionSize(m, m + shares[k] * (surface.sharpened(m) - m), point_means[k])
+            for k, m in means.items()
+        }
+
+    def _recovered_shares(self, i: int) -> dict[str, Floats | float]:
+        """Return the part of the recovered change of each traction of an interface that counts.
+
+        Forces of a rigid interface follow from equilibrium: a force over its area is a mean. In an
+        elastic layer that is softer than the bodies, the traction is the stiffness times the jump
+        at the point, and this is a point value. Between the two the part is that of two springs in
+        series, layer and bodies. A point that slips has the friction of its pressure.
+
+        Returns:
+            Parts [-] (n, 1), by the name of the traction; 1 without a layer.
+        """
+        layer = self.contacts[i].law.layer
+        if layer is None:
+            return {"pressure": 1.0, "shear": 1.0}
+        normal, tangential = (1 / (1 + self._body_stiffness / k) for k in layer)
+        shear = np.where(self.status == SLIP, normal, tangential)
+        return {"pressure": normal[:, None], "shear": shear[:, None]}
 
     @cached_property
     def numbers(self) -> dict[str, Numbers]:

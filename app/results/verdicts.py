@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -285,15 +286,24 @@ def _steep(name: str, q: Numbers) -> Verdict:
     return Verdict(message, "pressure", severity=Severity.WARNING)
 
 
-def _mesh_and_step(summary: Summary) -> Verdict:
-    """Return the verdict on the estimated errors of mesh and step."""
-    estimated = summary.get("error", {})
-    if not estimated.get("companions"):
-        message = "errors are not estimated; run with --error"
-        return Verdict(message, BOTH, severity=Severity.PLAIN)
+class PercentileErrors(NamedTuple):
+    """Errors of the percentiles of interfaces and regions.
+
+    Attributes:
+        relative: Error over size, by number in words.
+        unresolved: Numbers with an error that exceeds them.
+        zeros: Numbers close to zero.
+    """
+
+    relative: dict[str, float]
+    unresolved: list[str]
+    zeros: list[str]
+
+
+def _percentile_errors(summary: Summary) -> PercentileErrors:
+    """Return the estimated errors of the percentiles."""
     largest = largest_of_units(summary)
-    relative_errors: dict[str, float] = {}
-    zero_numbers: list[str] = []
+    errors = PercentileErrors({}, [], [])
     owners = {"interfaces": summary.get("interfaces", {}), "regions": summary.get("regions", {})}
     for section, numbers_by_owner in owners.items():
         for name, q in numbers_by_owner.items():
@@ -301,16 +311,29 @@ def _mesh_and_step(summary: Summary) -> Verdict:
                 error = q.get(f"{key}_error")
                 if error is None or not q[key] or key not in TABLE[section]:
                     continue
+                words = quantities.in_words(f"{name}.{key}")[0]
                 if is_zero(q[key], error, largest[TABLE[section][key].unit]):
-                    zero_numbers.append(quantities.in_words(f"{name}.{key}")[0])
+                    errors.zeros.append(words)
+                elif error > abs(q[key]):
+                    errors.unresolved.append(words)
                 else:
-                    relative_errors[quantities.in_words(f"{name}.{key}")[0]] = error / abs(q[key])
-    by_error = sorted(relative_errors, key=relative_errors.__getitem__)
+                    errors.relative[words] = error / abs(q[key])
+    return errors
+
+
+def _mesh_and_step(summary: Summary) -> Verdict:
+    """Return the verdict on the estimated errors of mesh and step."""
+    estimated = summary.get("error", {})
+    if not estimated.get("companions"):
+        message = "errors are not estimated; run with --error"
+        return Verdict(message, BOTH, severity=Severity.PLAIN)
+    errors = _percentile_errors(summary)
+    by_error = sorted(errors.relative, key=errors.relative.__getitem__)
     message = "± is the estimated error"
     if by_error:
         median_and_worst = (by_error[len(by_error) // 2], by_error[-1])
         median_error, largest_error = (
-            f"{float(f'{100 * relative_errors[key]:.2g}'):g}" for key in median_and_worst
+            f"{float(f'{100 * errors.relative[key]:.2g}'):g}" for key in median_and_worst
         )
         message = f"half of the percentiles have errors below ± {median_error} %"
         message += f"; the largest error is ± {largest_error} % ({by_error[-1]})"
@@ -320,8 +343,10 @@ def _mesh_and_step(summary: Summary) -> Verdict:
                 f". For about {100 * share_within_error:.0f} % of such numbers the true error is"
                 " smaller than ±"
             )
-    if zero_numbers:
-        message += f". Not counted, because close to zero: {', '.join(zero_numbers)}"
+    if errors.unresolved:
+        message += f". Not resolved, because ± exceeds them: {', '.join(errors.unresolved)}"
+    if errors.zeros:
+        message += f". Not counted, because close to zero: {', '.join(errors.zeros)}"
     source = estimated.get("sources", BOTH)
     if source != BOTH:
         message += "; the error of the mesh is not estimated"

@@ -389,7 +389,8 @@ def test_press_fit_shear_obeys_the_elastic_layer(tmp_path: Path) -> None:
     run = mantle.run(mantle.load(CONFIGS / "pressed.yaml", **changes), tmp_path)
     numbers = run.summary["interfaces"]["stem_bone"]
     for part in (numbers, numbers["tip"], numbers["rim"]):
-        # Point values of shear are recovered from means, with an error of some per cent.
+        # The layer has a thirtieth of the bodies' stiffness at most points and a tenth at a few.
+        # So a tenth of the recovered change counts there.
         assert 0.3 < part["shear_max"] < 1.03 * 20 * part["motion_max"]
 
 

@@ -138,6 +138,17 @@ def test_verdicts_on_errors_exclude_maxima() -> None:
     assert lines[verdicts.PEAKS] == (peaks, "warning")
 
 
+def test_verdicts_on_errors_name_numbers_that_are_not_resolved() -> None:
+    """A number below its ± counts neither in the median nor as the largest error."""
+    numbers = summary(error={"companions": ["mesh 8 mm"]})
+    numbers["interfaces"]["stem_cement"] |= {"slip_p99": 0.03, "slip_p99_error": 0.04}
+    words, _ = judged(numbers)["mesh and step"]
+    assert words == (
+        "half of the percentiles have errors below ± 5 %; the largest error is ± 5 % (stem-cement "
+        "pressure, p95). Not resolved, because ± exceeds them: stem-cement slip, p99"
+    )
+
+
 def test_verdicts_name_the_three_worst_maxima() -> None:
     keys = ("gap_max", "pressure_max", "slip_max", "motion_max", "shear_max")
     unsettled = {f"stem_cement.{k}": [[2.5, 0.0742], [5.0, 0.06]] for k in keys}
