@@ -173,12 +173,12 @@ def _distributed(
 def displacement_by_motions(problem: Problem, motions: Floats) -> PETSc.Vec:
     """Displacement by rigid motions of all bodies (6 bodies,), without jumps; collective.
 
-    The motions have the components of `ContactInterfaces.rigid_motions`.
+    The motions have the components of `ContactMotions.rigid`.
     """
     contact = problem.contact
     assert contact is not None
     x = problem.space.tabulate_dof_coordinates()[: problem.space.dofmap.index_map.size_local]
-    nodal, R = np.zeros(x.shape), contact.rigid_motions(x)
+    nodal, R = np.zeros(x.shape), contact.motions.rigid(x)
     for body, motion in enumerate(motions.reshape(-1, 6)):
         if motion.any():  # equal on all ranks
             nodal += np.where(_unmoved_components(problem, contact, body), R @ motion, 0.0)

@@ -19,7 +19,6 @@ one.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -35,6 +34,7 @@ from app.interfaces.interface_facets import gather
 from app.laws.values import amplitude, gap_at, gap_settled
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact_law import PointForces, PointLaw, gap_vectors
+from app.mechanics.contact_motions import ContactMotions
 from app.mechanics.contact_state import (
     ContactState,
     LocalPoints,
@@ -45,8 +45,7 @@ from app.mechanics.contact_state import (
 )
 from app.mechanics.finite_sliding import PAIRING_ACCURACY, FiniteSliding
 from app.mechanics.jump_coupling import JumpCoupling
-from app.mechanics.stiffness import Stiffness, support_resistance
-from app.numerics.rigid_motions import motions_outside, relative_resistance, rigid_modes
+from app.mechanics.stiffness import Stiffness
 from app.numerics.sparse import owners
 from app.scene.bodies import contact_facets
 from app.scene.frames import vertex_constraints
@@ -62,12 +61,6 @@ CLOSED_GAP = 1e-6
 APPROACH_FACTOR = 1.25
 # Points count for this distance if the cosine of normal and direction of motion is above this.
 FACING_COSINE = 0.1
-# A rigid motion of bodies is free if its resistance is below this fraction of the largest one.
-FREE_RESISTANCE = 1e-10
-# A body takes part in a free motion of unit size if its components have at least this size.
-MOVING_SIZE = 1e-3
-# A motion changes no gap if its resistance, a slope squared, is below this fraction of the largest.
-ZERO_RESISTANCE = 1e-14
 
 
 @dataclass(frozen=True)
@@ -206,6 +199,7 @@ class ContactInterfaces:
         local: The points of this rank.
         coupling: Coupling of the jumps to the displacement.
         law: Laws at the local points.
+        motions: Rigid motions of the bodies at the points.
         state: Committed state of the local points.
         gap: Initial gap at the current time (n, 3) [mm].
         finite_sliding: Points with finite sliding, if any.
@@ -222,8 +216,6 @@ class ContactInterfaces:
 
     saved = ("state", "jump_at_committed_pairing")
     jump_at_committed_pairing: Floats | None = None
-    # Resistance of the active supports to rigid motions, by body.
-    _support_resistance: dict[int, Floats] | None = None
 
     def __init__(
         self,
@@ -232,7 +224,6 @@ class ContactInterfaces:
         augmentation_factor: float,
     ) -> None:
         scene, tagged, bodies = body_forms.scene, body_forms.tagged, body_forms.bodies
-        self._body_forms, self._body_count = body_forms, len(bodies.names)
         self._supports, self._stiffness = scene.supports, stiffness
         self.comm = body_forms.mesh.comm
         space, interfaces = body_forms.space, len(scene.contacts)
@@ -269,6 +260,14 @@ class ContactInterfaces:
             dof = self.points.dof[rows]
             self.finite_sliding = FiniteSliding(body_forms, self.local, dof, stiffness.followers)
         self.law = PointLaw(self.comm, self.local, body_forms.timing)
+        self.motions = ContactMotions(
+            body_forms,
+            stiffness,
+            self.points,
+            self.local,
+            self.law,
+            has_finite_sliding=self.finite_sliding is not None,
+        )
         self.begin(scene, augmentation_factor)
 
     def begin(self, scene: Scene, augmentation_factor: float) -> None:
@@ -327,7 +326,7 @@ class ContactInterfaces:
 
     def update_stiffness(self) -> None:
         """Reassemble the coupling for changed stiffness or supports."""
-        self._support_resistance = None
+        self.motions.update_supports()
         self._unit_jumps = self._jumps_by_supports()
         self.coupling.update(self._stiffness.constraints)
         self.law.update_stiffness(self.coupling.local_stiffness())
@@ -419,7 +418,7 @@ class ContactInterfaces:
         Returns:
             True if interfaces are constrained.
         """
-        # Filled below: the law has it already, as `_floating_bodies` reads it.
+        # Filled below: the law has it already, as `ContactMotions.floating_bodies` reads it.
         constrained = np.zeros(len(self.local), dtype=bool)
         self.law.constrained = constrained
         if not active:
@@ -439,116 +438,12 @@ class ContactInterfaces:
                 continue
             if has_touching:
                 if floating is None:
-                    floating = self._floating_bodies(is_touching)
+                    floating = self.motions.floating_bodies(is_touching)
                 bodies = {int(b) for b in np.unique(self.points.bodies[self.points.interface == i])}
                 if bodies.isdisjoint(floating):
                     continue
             constrained |= at_interface
         return bool(self.comm.allreduce(bool(constrained.any()), MPI.LOR))
-
-    def _floating_bodies(self, touched: Bools) -> set[int]:
-        """Bodies with a rigid motion that neither supports nor touching points hold; collective.
-
-        Friction and bonds hold a touching point in all directions, otherwise its faces hold it.
-        """
-        free_motions = self._weakly_resisted_motions(
-            touched & self._resists_all_jumps, touched & ~self._resists_all_jumps, FREE_RESISTANCE
-        )
-        takes_part = (
-            np.linalg.norm(free_motions.reshape(self._body_count, -1), axis=1) > MOVING_SIZE
-        )
-        return {int(body) for body in np.flatnonzero(takes_part)}
-
-    # Rigid motions of bodies: nothing resists free motions; only points that are open now could
-    # resist loose ones. A body floats if it has a loose motion at the start.
-
-    def free_motions(self, status: Ints) -> Floats:
-        """Rigid motions that nothing resists in a state (6 bodies, k); collective.
-
-        In such a motion bodies slide along all their faces, touching or not. No touching point with
-        friction slides. Forces and gaps do not change. An example is the rotation of a
-        frictionless stem about its axis. Motions have the components of `relative_motion`. There
-        are none with finite sliding.
-
-        Args:
-            status: States of local points (n,).
-        """
-        if self.finite_sliding is not None:
-            return np.zeros((6 * self._body_count, 0))
-        stick = self._touching_points(status) & self._resists_all_jumps
-        return self._weakly_resisted_motions(stick, ~stick, ZERO_RESISTANCE)
-
-    def loose_motions(self, status: Ints) -> Floats:
-        """Rigid motions that only open points resist (6 bodies, k); collective.
-
-        The motions of `free_motions`, which no point resists, are not among them.
-        """
-        if self.finite_sliding is not None:
-            return np.zeros((6 * self._body_count, 0))
-        touch = self._touching_points(status)
-        loose = self._weakly_resisted_motions(
-            touch & self._resists_all_jumps, touch & ~self._resists_all_jumps, FREE_RESISTANCE
-        )
-        return motions_outside(loose, self.free_motions(status))
-
-    def _touching_points(self, status: Ints) -> Bools:
-        """Mask of points that touch in a state, or are constrained (n,)."""
-        return (status != OPEN) | self.law.constrained
-
-    @property
-    def _resists_all_jumps(self) -> Bools:
-        """Mask of points that resist any jump if they touch, by friction or a bond (n,)."""
-        return self.law.frictional | ~self.law.slides | self.law.constrained
-
-    def _weakly_resisted_motions(self, stick: Bools, slide: Bools, threshold: float) -> Floats:
-        """Rigid motions resisted by less than a threshold (6 bodies, k); collective.
-
-        Args:
-            stick: Mask of local points that resist their jump (n,).
-            slide: Mask of local points that resist their opening (n,).
-            threshold: The threshold over the largest resistance [-].
-        """
-        faces = np.einsum("pki,pkj->pij", self.local.normals, self.local.normals)
-        B = stick[:, None, None] * np.eye(3) + slide[:, None, None] * faces
-        B *= self.local.weight[:, None, None]
-        resistance_of_points = self.jumps_by_motion.transpose(0, 2, 1) @ B @ self.jumps_by_motion
-        local_resistance = relative_resistance(
-            resistance_of_points, self.local.bodies, self._body_count
-        )
-        resistance = self.comm.allreduce(local_resistance)
-        area = float(self.points.weight.sum())
-        if self._support_resistance is None:
-            self._support_resistance = support_resistance(
-                self._body_forms, self._stiffness, *self.frame
-            )
-        for body, body_resistance in self._support_resistance.items():
-            rows = slice(6 * body, 6 * body + 6)
-            resistance[rows, rows] += area * body_resistance
-        sizes, motions = np.linalg.eigh(resistance)
-        return np.asarray(motions[:, sizes <= threshold * max(sizes[-1], area)])
-
-    @property
-    def frame(self) -> tuple[Floats, float]:
-        """Origin of rigid motions (3,) [mm], and the length by which rotations are divided [mm]."""
-        x = self.points.x
-        return np.asarray(x.mean(axis=0)), float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0
-
-    def rigid_motions(self, x: Floats) -> Floats:
-        """Rigid motions of a body at points x (n, 3) [mm] -> (n, 3, 6)."""
-        origin, size = self.frame
-        return rigid_modes((x - origin) / size)
-
-    def relative_motion(self, motions: Floats) -> Floats:
-        """Jumps of local points by rigid motions of all bodies (6 bodies, k) -> (n, 3, k)."""
-        of_bodies = motions.reshape(self._body_count, 6, -1)
-        master, slave = self.local.bodies.T
-        return self.jumps_by_motion @ (of_bodies[slave] - of_bodies[master])
-
-    @cached_property
-    def jumps_by_motion(self) -> Floats:
-        """Jumps of local points by motions of the slave against the master (n, 3, 6)."""
-        surface = self.points.surface
-        return surface.mean_jumps(self.rigid_motions(surface.x))[self.local.rows]
 
     def is_apart(self) -> bool:
         """Return True if no point touches in the committed state; collective."""

@@ -168,10 +168,10 @@ class ContactSystem(BondedSystem):
         normal_error = contact.points.normal_error[contact.local.rows]
         if not contact.points.normal_error.any():
             return r.ravel()
-        motions = contact.free_motions(law.status)
+        motions = contact.motions.free(law.status)
         if not motions.shape[1]:
             return r.ravel()
-        jumps, w = contact.relative_motion(motions), contact.local.weight
+        jumps, w = contact.motions.relative(motions), contact.local.weight
         # Products of the motions, the same weighted by the squared uncertainty, squared forces.
         local_sums = (
             np.einsum("p,pik,pil->kl", w, jumps, jumps),
@@ -212,7 +212,7 @@ class ContactSystem(BondedSystem):
     def _moves_loosely(self) -> bool:
         """Return True if forces move bodies that only open points resist; collective."""
         contact, law = self.contact, self.trial.law
-        motions = contact.loose_motions(law.status)
+        motions = contact.motions.loose(law.status)
         if not motions.shape[1]:
             return False
         forces = self._problem.f_q.reshape(-1, 3) - contact.local.weight[:, None] * law.force
@@ -224,7 +224,7 @@ class ContactSystem(BondedSystem):
 
         ``motions`` are rigid motions of all bodies (6 bodies, k).
         """
-        jumps = self.contact.relative_motion(motions)
+        jumps = self.contact.motions.relative(motions)
         loads = [displacement_by_motions(self._problem, m).dot(self._problem.f) for m in motions.T]
         return np.asarray(self.comm.allreduce(np.einsum("pik,pi->k", jumps, forces)) + loads)
 
@@ -294,7 +294,7 @@ class ContactSystem(BondedSystem):
 
     def free_jumps(self) -> Floats:
         """Jumps of rigid motions that nothing resists at the last state (n, 3, k); collective."""
-        return self.contact.relative_motion(self.contact.free_motions(self.law_status))
+        return self.contact.motions.relative(self.contact.motions.free(self.law_status))
 
     def settle(self, x: list[PETSc.Vec]) -> bool:
         """Remove rigid motions that nothing resists from the last step of a state; collective.
@@ -305,10 +305,10 @@ class ContactSystem(BondedSystem):
             True if the state changes.
         """
         contact, problem = self.contact, self._problem
-        motions = contact.free_motions(self.trial.law.status)
+        motions = contact.motions.free(self.trial.law.status)
         if not motions.shape[1]:
             return False
-        jumps, w = contact.relative_motion(motions), contact.local.weight
+        jumps, w = contact.motions.relative(motions), contact.local.weight
         step_jumps = x[1].array_r.reshape(-1, 3) - contact.reference
         gram = np.einsum("p,pik,pil->kl", w, jumps, jumps)
         work = np.einsum("p,pik,pi->k", w, jumps, step_jumps)

@@ -82,13 +82,13 @@ def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> lis
 
     The resistance of contact is the generalized Jacobian at each point, projected onto the relative
     rigid motions of the two bodies. Motions are free if neither contact nor a support resists them.
-    With ``moved``, motions of `free_motions` are left out: no load moves bodies along them.
+    With ``moved``, motions of `ContactMotions.free` are left out: no load moves bodies along them.
     """
     contact, body_names = trial.contact, problem.bodies.names
     x = contact.points.x
-    centre, size = contact.frame
+    centre, size = contact.motions.frame
     B = np.where((trial.law.status == OPEN)[:, None, None], 0.0, trial.law.resisted)
-    R = contact.jumps_by_motion
+    R = contact.motions.jumps_by_motion
     A = _gathered(problem, contact.local.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R))
     total = float(np.sum(contact.points.weight)) or 1.0
     support_resistance = supported(problem)
@@ -99,7 +99,7 @@ def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> lis
     values, vectors = np.linalg.eigh((A + A.T) / 2)
     free_vectors = vectors[:, values <= FREE * max(values[-1], total)]
     if moved:
-        free_vectors = motions_outside(free_vectors, contact.free_motions(trial.law.status))
+        free_vectors = motions_outside(free_vectors, contact.motions.free(trial.law.status))
     at_body = [(contact.points.bodies == b).any(axis=1) for b in range(len(body_names))]
     centres = np.array([x[mask].mean(axis=0) if mask.any() else centre for mask in at_body])
     return describe(free_vectors, [f"'{name}'" for name in body_names], centres, centre, size)
@@ -108,7 +108,7 @@ def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> lis
 def pushed_freely(problem: Problem, trial: TrialState) -> list[str]:
     """Bodies that loads, however small, push along an unresisted motion; collective."""
     contact = trial.contact
-    motions = contact.free_motions(trial.law.status)
+    motions = contact.motions.free(trial.law.status)
     motion = motions @ (motions.T @ _on_bodies(problem))
     pressures = contact.local.weight[:, None] * trial.law.pressures
     return _pulls(problem, motion, pressures)
@@ -117,7 +117,7 @@ def pushed_freely(problem: Problem, trial: TrialState) -> list[str]:
 def _on_bodies(problem: Problem) -> Floats:
     """Work of the loads in the rigid motions of all bodies (6 n,) [N]; collective."""
     assert problem.contact is not None
-    R = problem.contact.rigid_motions(_owned_nodes(problem))
+    R = problem.contact.motions.rigid(_owned_nodes(problem))
     return problem.forces.work_on_bodies(problem.load_time, R).ravel()
 
 
@@ -147,7 +147,7 @@ def _pulls(problem: Problem, motion: Floats, pressures: Floats) -> list[str]:
     contact, body_names = problem.contact, problem.bodies.names
     assert contact is not None
     local = contact.local
-    jump = contact.relative_motion(motion[:, None])[:, :, 0]
+    jump = contact.motions.relative(motion[:, None])[:, :, 0]
     closing = np.maximum(0.0, -np.einsum("pki,pi->pk", local.normals, jump))
     facet_friction = LIKELY_MULTIPLE * contact.points.normal_error[local.rows]
     friction = _frictions(problem)[local.interface] + facet_friction
@@ -155,14 +155,14 @@ def _pulls(problem: Problem, motion: Floats, pressures: Floats) -> list[str]:
     resisted = problem.comm.allreduce(
         float((pressures * (closing + sliding_resistance[:, None])).sum())
     )
-    R = contact.rigid_motions(_owned_nodes(problem))
+    R = contact.motions.rigid(_owned_nodes(problem))
     motion_of_bodies = np.einsum("nik,bk->bni", R, motion.reshape(len(body_names), 6))
     rounding = BALANCED * problem.forces.work_bound(problem.load_time, motion_of_bodies)
     if motion @ _on_bodies(problem) <= resisted + rounding:
         return []
-    centres = np.tile(contact.frame[0], (len(body_names), 1))
+    centres = np.tile(contact.motions.frame[0], (len(body_names), 1))
     motion_texts = describe(
-        motion[:, None], [f"'{name}'" for name in body_names], centres, *contact.frame
+        motion[:, None], [f"'{name}'" for name in body_names], centres, *contact.motions.frame
     )
     return [f"{motion_text}, and the loads act in this direction" for motion_text in motion_texts]
 
@@ -221,7 +221,7 @@ def runaway(problem: Problem, trial: TrialState) -> Verdict | None:
     )
     if not (forces or largest_prescribed):
         return None
-    size = contact.frame[1]
+    size = contact.motions.frame[1]
     # Closing a gap or making room for an interference is not running away.
     distance = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(contact.gap, axis=1)
     for i, term in enumerate(problem.scene.contacts):
@@ -261,16 +261,18 @@ def floating_bodies(problem: Problem, trial: TrialState) -> list[Verdict]:
     No load acts on such a body along its free motion, so any place in the gaps is an equilibrium.
     """
     contact, body_names = trial.contact, problem.bodies.names
-    local, size = contact.local, contact.frame[1]
+    local, size = contact.local, contact.motions.frame[1]
     gaps = np.einsum("pi,pki->pk", contact.gap_vector(trial.jump), local.normals).max(axis=1)
     is_open = trial.law.status == OPEN
     if not any(problem.comm.allgather(bool((is_open & (gaps > GAP * size)).any()))):
         return []
     rounding = UNPRESSED * contact.law.stiffness * size
     is_unpressed = contact.law.slides & (trial.law.pressures.max(axis=1) <= rounding)
-    motions = contact.loose_motions(np.where(is_unpressed, OPEN, trial.law.status))
-    centres = np.tile(contact.frame[0], (len(body_names), 1))
-    motion_texts = describe(motions, [f"'{name}'" for name in body_names], centres, *contact.frame)
+    motions = contact.motions.loose(np.where(is_unpressed, OPEN, trial.law.status))
+    centres = np.tile(contact.motions.frame[0], (len(body_names), 1))
+    motion_texts = describe(
+        motions, [f"'{name}'" for name in body_names], centres, *contact.motions.frame
+    )
     place = "in the last state. Its position within the gaps is arbitrary"
     return [
         Verdict(f"{motion_text} {place}", CONTACT, HOLD, Severity.WARNING)
@@ -292,7 +294,7 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
     if not unresisted.shape[1]:
         return []
     loads = unresisted.T @ _on_bodies(problem)
-    jumps = contact.relative_motion(unresisted)
+    jumps = contact.motions.relative(unresisted)
     frictions = _frictions(problem)
     # Motions are scaled by their mean square jump: a narrow interface resists rolling.
     gram = comm.allreduce(np.einsum("pia,pib->ab", jumps, jumps))
@@ -371,7 +373,7 @@ def held_by_facets(problem: Problem, trial: TrialState) -> Verdict | None:
         return None
     contact = trial.contact
     n = len(problem.bodies.names)
-    R = contact.jumps_by_motion
+    R = contact.motions.jumps_by_motion
     unsupported = np.setdiff1d(np.arange(n), sorted(supported(problem)))
     rows = (6 * unsupported[:, None] + np.arange(6)).ravel()
     resistances = _against_spread(problem, trial, R, np.array(smooth)[contact.local.interface])
@@ -444,7 +446,7 @@ def supported(problem: Problem) -> dict[int, Floats]:
     from app.mechanics.stiffness import support_resistance  # imports dolfinx
 
     assert problem.contact is not None
-    return support_resistance(problem.body_forms, problem.stiffness, *problem.contact.frame)
+    return support_resistance(problem.body_forms, problem.stiffness, *problem.contact.motions.frame)
 
 
 def turning(problem: Problem) -> list[int]:

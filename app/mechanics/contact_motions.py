@@ -1,0 +1,164 @@
+"""Rigid motions of bodies at the contact points, and what resists them.
+
+Nothing resists a *free* motion. Only points that are open could resist a *loose* one. A body
+*floats* if it has a loose motion at the start.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from app.foundation.arrays import Bools, Floats, Ints
+from app.interfaces.corners import ContactPoints
+from app.mechanics.body_forms import BodyForms
+from app.mechanics.contact_law import PointLaw
+from app.mechanics.contact_state import LocalPoints
+from app.mechanics.stiffness import Stiffness, support_resistance
+from app.numerics.rigid_motions import motions_outside, relative_resistance, rigid_modes
+from forms.contact import OPEN
+
+# A rigid motion of bodies is free if its resistance is below this fraction of the largest one.
+FREE_RESISTANCE = 1e-10
+# A body takes part in a free motion of unit size if its components have at least this size.
+MOVING_SIZE = 1e-3
+# A motion changes no gap if its resistance, a slope squared, is below this fraction of the largest.
+ZERO_RESISTANCE = 1e-14
+
+
+class ContactMotions:
+    """Rigid motions of all bodies against each other, at the points of this rank.
+
+    Args:
+        body_forms: The bodies.
+        stiffness: Their stiffness and supports.
+        points: All contact points.
+        local: The points of this rank.
+        law: Laws at the points of this rank.
+        has_finite_sliding: True if points slide far; then no motion is free or loose.
+    """
+
+    # Resistance of the active supports to rigid motions, by body.
+    _support_resistance: dict[int, Floats] | None = None
+
+    def __init__(
+        self,
+        body_forms: BodyForms,
+        stiffness: Stiffness,
+        points: ContactPoints,
+        local: LocalPoints,
+        law: PointLaw,
+        *,
+        has_finite_sliding: bool,
+    ) -> None:
+        self._comm = body_forms.mesh.comm
+        self._body_forms, self._stiffness = body_forms, stiffness
+        self._body_count = len(body_forms.bodies.names)
+        self._points, self._local, self._law = points, local, law
+        self._has_finite_sliding = has_finite_sliding
+
+    def update_supports(self) -> None:
+        """Forget the resistance of supports, because other supports act."""
+        self._support_resistance = None
+
+    def floating_bodies(self, touched: Bools) -> set[int]:
+        """Bodies with a rigid motion that neither supports nor touching points hold; collective.
+
+        Friction and bonds hold a touching point in all directions, otherwise its faces hold it.
+        """
+        free_motions = self._weakly_resisted_motions(
+            touched & self._resists_all_jumps, touched & ~self._resists_all_jumps, FREE_RESISTANCE
+        )
+        takes_part = (
+            np.linalg.norm(free_motions.reshape(self._body_count, -1), axis=1) > MOVING_SIZE
+        )
+        return {int(body) for body in np.flatnonzero(takes_part)}
+
+    def free(self, status: Ints) -> Floats:
+        """Rigid motions that nothing resists in a state (6 bodies, k); collective.
+
+        In such a motion bodies slide along all their faces, touching or not. No touching point with
+        friction slides. Forces and gaps do not change. An example is the rotation of a
+        frictionless stem about its axis. Motions have the components of `relative`. There
+        are none with finite sliding.
+
+        Args:
+            status: States of local points (n,).
+        """
+        if self._has_finite_sliding:
+            return np.zeros((6 * self._body_count, 0))
+        stick = self._touching_points(status) & self._resists_all_jumps
+        return self._weakly_resisted_motions(stick, ~stick, ZERO_RESISTANCE)
+
+    def loose(self, status: Ints) -> Floats:
+        """Rigid motions that only open points resist (6 bodies, k); collective.
+
+        The motions of `free`, which no point resists, are not among them.
+        """
+        if self._has_finite_sliding:
+            return np.zeros((6 * self._body_count, 0))
+        touch = self._touching_points(status)
+        loose = self._weakly_resisted_motions(
+            touch & self._resists_all_jumps, touch & ~self._resists_all_jumps, FREE_RESISTANCE
+        )
+        return motions_outside(loose, self.free(status))
+
+    def _touching_points(self, status: Ints) -> Bools:
+        """Mask of points that touch in a state, or are constrained (n,)."""
+        return (status != OPEN) | self._law.constrained
+
+    @property
+    def _resists_all_jumps(self) -> Bools:
+        """Mask of points that resist any jump if they touch, by friction or a bond (n,)."""
+        return self._law.frictional | ~self._law.slides | self._law.constrained
+
+    def _weakly_resisted_motions(self, stick: Bools, slide: Bools, threshold: float) -> Floats:
+        """Rigid motions resisted by less than a threshold (6 bodies, k); collective.
+
+        Args:
+            stick: Mask of local points that resist their jump (n,).
+            slide: Mask of local points that resist their opening (n,).
+            threshold: The threshold over the largest resistance [-].
+        """
+        faces = np.einsum("pki,pkj->pij", self._local.normals, self._local.normals)
+        B = stick[:, None, None] * np.eye(3) + slide[:, None, None] * faces
+        B *= self._local.weight[:, None, None]
+        resistance_of_points = self.jumps_by_motion.transpose(0, 2, 1) @ B @ self.jumps_by_motion
+        local_resistance = relative_resistance(
+            resistance_of_points, self._local.bodies, self._body_count
+        )
+        resistance = self._comm.allreduce(local_resistance)
+        area = float(self._points.weight.sum())
+        if self._support_resistance is None:
+            self._support_resistance = support_resistance(
+                self._body_forms, self._stiffness, *self.frame
+            )
+        for body, body_resistance in self._support_resistance.items():
+            rows = slice(6 * body, 6 * body + 6)
+            resistance[rows, rows] += area * body_resistance
+        sizes, motions = np.linalg.eigh(resistance)
+        return np.asarray(motions[:, sizes <= threshold * max(sizes[-1], area)])
+
+    @property
+    def frame(self) -> tuple[Floats, float]:
+        """Origin of rigid motions (3,) [mm], and the length by which rotations are divided [mm]."""
+        x = self._points.x
+        return np.asarray(x.mean(axis=0)), float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0
+
+    def rigid(self, x: Floats) -> Floats:
+        """Rigid motions of a body at points x (n, 3) [mm] -> (n, 3, 6)."""
+        origin, size = self.frame
+        return rigid_modes((x - origin) / size)
+
+    def relative(self, motions: Floats) -> Floats:
+        """Jumps of local points by rigid motions of all bodies (6 bodies, k) -> (n, 3, k)."""
+        of_bodies = motions.reshape(self._body_count, 6, -1)
+        master, slave = self._local.bodies.T
+        return self.jumps_by_motion @ (of_bodies[slave] - of_bodies[master])
+
+    @cached_property
+    def jumps_by_motion(self) -> Floats:
+        """Jumps of local points by motions of the slave against the master (n, 3, 6)."""
+        surface = self._points.surface
+        return surface.mean_jumps(self.rigid(surface.x))[self._local.rows]
