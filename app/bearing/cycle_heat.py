@@ -76,7 +76,7 @@ class CycleHeat(Record):
         return record_step
 
     def _take(self, stage: Stage, step: LoadStep, trial: TrialState) -> None:
-        pressure, dissipation = trial.law.pressures[:, 0], self._contact.state.dissipation
+        pressure, dissipation = trial.forces.pressures[:, 0], self._contact.state.dissipation
         self._changed = True
         if stage.repeats:
             start = max(self.time, math.ceil(step.time) - 1)

@@ -77,7 +77,7 @@ class Samples:
         return cls(
             x=contact.points.x,
             arm=contact.gather(arm),
-            pressure=contact.gather(normal_pressure(trial.law.pressures, local.normals)),
+            pressure=contact.gather(normal_pressure(trial.forces.pressures, local.normals)),
             friction=contact.gather(state.friction),
             force=contact.gather(sign * state.force),
             dissipation=contact.gather(state.dissipation),

@@ -11,14 +11,14 @@ between pass every constant of a law on by its name:
     Unilateral.constants_at_points                 {"μ": f}, f: points (n, 3) -> numbers (n,)
     scene.scene.Interface.constants                this mapping, kept with the interface
     mechanics.contact.ContactInterfaces.begin      {"μ": f(x)} at the contact points x of a rank
-    mechanics.contact_law.PointLaw.begin           sets it as the input "μ" of the compiled law
+    mechanics.point_laws.PointLaws.begin           sets it as the input "μ" of the compiled law
     Unilateral.response                            `AtPoint.constants["μ"]`, a UFL constant
     forms.contact.contact_law                      force of a point: friction at most μ p, in UFL
-    mechanics.contact_law.PointLaw.evaluate        runs the compiled law: forces (n, 3) [MPa]
+    mechanics.point_laws.PointLaws.evaluate        runs the compiled law: forces (n, 3) [MPa]
     mechanics.contact.ContactInterfaces.residual   e + W P: forces of the bodies and of the law [N]
 
 The debonded area of a cohesive interface has a contact law, `Traction.debonded_contact`, whose
-coefficient takes the same path; `PointLaw` multiplies it by the debonded share.
+coefficient takes the same path; `PointLaws` multiplies it by the debonded share.
 
 To add a law, derive from `Traction` (a force that is a function of the gap) or from `InterfaceLaw`.
 `Traction` says what its methods return and what becomes of it. `app/README.md` has an example.
@@ -764,7 +764,7 @@ class Traction(InterfaceLaw):
     .. math:: T + P(F - T + r D),
 
     with P the response of contact without cohesion and the friction coefficient s μ, its work
-    counted as friction (`mechanics.contact_law.PointLaw.evaluate`). `new_internal_variables` are
+    counted as friction (`mechanics.point_laws.PointLaws.evaluate`). `new_internal_variables` are
     committed with a converged step. The other results are numbers and fields of the run alone, but
     `dissipated` also sets the steps of a stage with `fracture_step`.
     """

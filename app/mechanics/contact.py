@@ -33,7 +33,6 @@ from app.interfaces.corners import BY_RIGID_REGION
 from app.interfaces.interface_facets import gather
 from app.laws.values import amplitude, gap_at, gap_settled
 from app.mechanics.body_forms import BodyForms
-from app.mechanics.contact_law import PointForces, PointLaw, gap_vectors
 from app.mechanics.contact_motions import ContactMotions
 from app.mechanics.contact_state import (
     ContactState,
@@ -45,6 +44,7 @@ from app.mechanics.contact_state import (
 )
 from app.mechanics.finite_sliding import PAIRING_ACCURACY, FiniteSliding
 from app.mechanics.jump_coupling import JumpCoupling
+from app.mechanics.point_laws import PointForces, PointLaws, gap_vectors
 from app.mechanics.stiffness import Stiffness
 from app.numerics.sparse import owners
 from app.scene.bodies import contact_facets
@@ -71,24 +71,26 @@ class TrialState:
         contact: The contact points of this rank.
         equilibrium: Residual e of equilibrium at local points (n, 3) [N].
         jump: Jumps of local points (n, 3) [mm].
-        law: Forces by the laws, and their derivatives.
+        forces: Forces by the laws, and their derivatives.
     """
 
     contact: ContactInterfaces
     equilibrium: Floats
     jump: Floats
-    law: PointForces
+    forces: PointForces
 
     def friction_and_slip(self) -> tuple[Floats, Floats]:
         """Friction [MPa] and slip [mm] of a step by the laws, each (n, 3).
 
         Both are exactly zero where a point is open or sticks, without errors of the solver.
         """
-        contact, law = self.contact, self.law
+        contact, law = self.contact, self.forces
         force = law.force + np.einsum("pk,pki->pi", law.pressures, contact.local.normals)
         force_deficit = contact.local.project_free(contact.multiplier(self.equilibrium) - force)
-        motion = self.jump - contact.reference + force_deficit / contact.law.stiffness[:, None]
-        is_slipping = (contact.law.frictional & contact.law.slides & (law.status == SLIP))[:, None]
+        motion = self.jump - contact.reference + force_deficit / contact.laws.augmentation[:, None]
+        is_slipping = (contact.laws.frictional & contact.laws.slides & (law.status == SLIP))[
+            :, None
+        ]
         closed_faces = self._closed_faces(motion)
         friction = np.where(is_slipping, contact.local.tangential(force, closed_faces), 0.0)
         slip = np.where(is_slipping, contact.local.tangential(motion, closed_faces), 0.0)
@@ -102,7 +104,7 @@ class TrialState:
         """
         gap = np.einsum("pi,pki->pk", self.jump + self.contact.gap, self.contact.local.normals)
         is_nearly_closed = gap <= CLOSED_GAP * np.linalg.norm(step, axis=1)[:, None]
-        return np.asarray((self.law.pressures > 0) | is_nearly_closed)
+        return np.asarray((self.forces.pressures > 0) | is_nearly_closed)
 
     def slip(self, friction: Floats) -> Floats:
         """Slip (n, 3) [mm] under a friction (n, 3) [MPa].
@@ -114,7 +116,7 @@ class TrialState:
         """
         contact = self.contact
         sliding_motion = self.sliding(self.jump - self._layer_stretch(friction))
-        slip = np.where(contact.law.slides[:, None], sliding_motion, self.law.outputs["slip"])
+        slip = np.where(contact.laws.slides[:, None], sliding_motion, self.forces.outputs["slip"])
         if contact.finite_sliding is not None:
             rows = contact.finite_sliding.rows
             slip[rows] = (
@@ -123,11 +125,11 @@ class TrialState:
         return slip
 
     def _layer_stretch(self, friction: Floats) -> Floats:
-        return np.einsum("pij,pj->pi", self.contact.law.compliance, friction)
+        return np.einsum("pij,pj->pi", self.contact.laws.compliance, friction)
 
     def sliding(self, motion: Floats) -> Floats:
         """Tangential part of a motion where points touch, 0 where they are open (n, 3) [mm]."""
-        is_touching = (self.contact.law.can_open & (self.law.status != OPEN))[:, None]
+        is_touching = (self.contact.laws.can_open & (self.forces.status != OPEN))[:, None]
         tangential = self.contact.local.tangential(motion, self._closed_faces(motion))
         return np.where(is_touching, tangential, 0.0)
 
@@ -146,7 +148,7 @@ class TrialState:
         steps in which points close or open. It contains the normal energy of a layer, which is
         released when the layer opens.
         """
-        contact, law = self.contact, self.law
+        contact, law = self.contact, self.forces
         before = contact.state
         weight = contact.local.weight
         step, gap_vector = self.jump - contact.reference, contact.gap_vector(self.jump)
@@ -157,9 +159,9 @@ class TrialState:
         outputs, slip = law.outputs, self.slip(friction)
         friction_work = np.einsum("pi,pi->p", *self.friction_and_slip())
         dissipated = weight * (outputs["dissipated"] + law.debonded_friction_work + friction_work)
-        layer_energy = np.einsum("pi,pij,pj->p", force, contact.law.compliance, force) / 2
+        layer_energy = np.einsum("pi,pij,pj->p", force, contact.laws.compliance, force) / 2
         slip_step = self.sliding(step - self._layer_stretch(friction - before.friction))
-        slip_step = np.where(contact.law.slides[:, None], slip_step, slip - before.slip)
+        slip_step = np.where(contact.laws.slides[:, None], slip_step, slip - before.slip)
         slip_length = np.linalg.norm(slip_step, axis=1)
         contact_work = (
             np.einsum(
@@ -198,7 +200,7 @@ class ContactInterfaces:
         edge_lengths: Mean edge of the facets of each interface [mm].
         local: The points of this rank.
         coupling: Coupling of the jumps to the displacement.
-        law: Laws at the local points.
+        laws: Laws at the local points.
         motions: Rigid motions of the bodies at the points.
         state: Committed state of the local points.
         gap: Initial gap at the current time (n, 3) [mm].
@@ -259,13 +261,13 @@ class ContactInterfaces:
         if stiffness.followers:
             dof = self.points.dof[rows]
             self.finite_sliding = FiniteSliding(body_forms, self.local, dof, stiffness.followers)
-        self.law = PointLaw(self.comm, self.local, body_forms.timing)
+        self.laws = PointLaws(self.comm, self.local, body_forms.timing)
         self.motions = ContactMotions(
             body_forms,
             stiffness,
             self.points,
             self.local,
-            self.law,
+            self.laws,
             has_finite_sliding=self.finite_sliding is not None,
         )
         self.begin(scene, augmentation_factor)
@@ -301,12 +303,12 @@ class ContactInterfaces:
         )
         self.insertion_time = max(settling_times, default=0.0) + TIME_ROUNDING
         laws = [c.law for c in contacts]
-        self.law.begin(laws, local_values, augmentation_factor, self.coupling.local_stiffness())
+        self.laws.begin(laws, local_values, augmentation_factor, self.coupling.local_stiffness())
         if self.finite_sliding is not None:
             self.finite_sliding.begin(scene)
         self._committed_time = 0.0
         self.state: ContactState = ContactState.at_rest(
-            self.local.x * 0.0, self.law.internal_variables
+            self.local.x * 0.0, self.laws.internal_variables
         )
         self.committed_jump = self.state.jump
         self.set_time(0.0)
@@ -329,7 +331,7 @@ class ContactInterfaces:
         self.motions.update_supports()
         self._unit_jumps = self._jumps_by_supports()
         self.coupling.update(self._stiffness.constraints)
-        self.law.update_stiffness(self.coupling.local_stiffness())
+        self.laws.update_stiffness(self.coupling.local_stiffness())
 
     def set_time(self, time: float) -> None:
         """Set gaps and prescribed jumps to a time."""
@@ -353,7 +355,7 @@ class ContactInterfaces:
         rows, local = self.finite_sliding.rows, self.local
         closest = self.finite_sliding.find_pairs(jump)
         local.normals[rows, 0] = closest.normal
-        self.law.set_normals(rows)
+        self.laws.set_normals(rows)
         self._jump_at_pairing, gap = jump.copy(), self._clearance.copy()
         gap[rows] += closest.gap - np.einsum("pi,pi->p", closest.normal, jump[rows])
         self.gap = gap_vectors(local.normals, gap)
@@ -363,9 +365,9 @@ class ContactInterfaces:
         if self.finite_sliding is None:
             return False
         rows = self.finite_sliding.rows
-        pressure = trial.law.pressures[rows, 0]
+        pressure = trial.forces.pressures[rows, 0]
         gap_error = self.finite_sliding.error(self._jump_at_pairing, trial.jump)
-        error = self.law.local_stiffness[rows] * gap_error
+        error = self.laws.local_stiffness[rows] * gap_error
         largest = pressure.max(initial=0.0), error[pressure > 0].max(initial=0.0)
         largest_pressure, largest_error = (self.comm.allreduce(float(v), MPI.MAX) for v in largest)
         if largest_error <= PAIRING_ACCURACY * largest_pressure:
@@ -405,24 +407,19 @@ class ContactInterfaces:
             gaps[rows] = np.einsum("pi,pi->p", gaps[rows], n)[:, None] * n
         return gaps
 
-    def constrain(self, active: bool) -> bool:
-        """Constrain interfaces that have to close to hold a body, or release all; collective.
+    def constrain(self) -> bool:
+        """Constrain interfaces that have to close to hold a body; collective.
 
         Constrained are interfaces that are open everywhere, and partly open ones of a body that
         neither supports nor touching points hold. The sides of a constrained interface touch and
         stick, which moves the body into contact.
-
-        Args:
-            active: True to constrain, False to release.
 
         Returns:
             True if interfaces are constrained.
         """
         # Filled below: the law has it already, as `ContactMotions.floating_bodies` reads it.
         constrained = np.zeros(len(self.local), dtype=bool)
-        self.law.constrained = constrained
-        if not active:
-            return False
+        self.laws.constrained = constrained
         gap = self._clearance.copy()
         if self.finite_sliding is not None:
             gap[self.finite_sliding.rows] += self.finite_sliding.paired.gap
@@ -445,6 +442,10 @@ class ContactInterfaces:
             constrained |= at_interface
         return bool(self.comm.allreduce(bool(constrained.any()), MPI.LOR))
 
+    def release(self) -> None:
+        """Release constrained interfaces."""
+        self.laws.constrained = np.zeros(len(self.local), dtype=bool)
+
     def is_apart(self) -> bool:
         """Return True if no point touches in the committed state; collective."""
         gap_vector = self.gap_vector(self.state.jump)
@@ -453,19 +454,20 @@ class ContactInterfaces:
         touches = self.state.force.any(axis=1) | ((gaps <= 0) & faces).any(axis=1)
         return not self.comm.allreduce(bool(touches.any()), MPI.LOR)
 
-    def open(self, active: bool) -> bool:
-        """Open all interfaces that can open, or let them close again; collective.
+    def open(self) -> bool:
+        """Open all interfaces that can open; collective.
 
         Elastic layers and cohesion keep their forces.
-
-        Args:
-            active: True to open, False to let them close.
 
         Returns:
             True if interfaces are opened.
         """
-        self.law.opened = self.law.has_contact & self.law.can_open & active
-        return bool(self.comm.allreduce(bool(self.law.opened.any()), MPI.LOR))
+        self.laws.opened = self.laws.has_contact & self.laws.can_open
+        return bool(self.comm.allreduce(bool(self.laws.opened.any()), MPI.LOR))
+
+    def allow_closing(self) -> None:
+        """Let opened interfaces close."""
+        self.laws.opened = np.zeros(len(self.local), dtype=bool)
 
     def approach(self, f: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:
         """Move bodies without contact along forces f [N] until they overlap slightly; collective.
@@ -493,7 +495,7 @@ class ContactInterfaces:
 
     def augmentation(self) -> dict[str, float]:
         """Augmentation of each interface that can open [MPa/mm], by name; collective."""
-        values = self.law.augmentation()
+        values = self.laws.largest_augmentation()
         return {self._contacts[i].name: value for i, value in values.items()}
 
     def gather(self, values: Floats) -> Floats:
@@ -524,7 +526,7 @@ class ContactInterfaces:
         the layer, D - C (F - F_old). F_old is the last friction; it has no normal part. The trial
         force S = F + r (D - C (F - F_old)) gives this contact for any r.
         """
-        F, layers = self.forces(e), np.eye(3) - self.law.multiplier_share
+        F, layers = self.forces(e), np.eye(3) - self.laws.multiplier_share
         return F - np.einsum("pij,pj->pi", layers, F - self.state.friction)
 
     def evaluate(self, e: Floats, q: Floats) -> PointForces:
@@ -532,7 +534,7 @@ class ContactInterfaces:
         state = self.state
         if self.finite_sliding is not None:
             state = replace(state, jump=self.reference)
-        return self.law.evaluate(self.multiplier(e), self.with_prescribed(q), self.gap, state)
+        return self.laws.evaluate(self.multiplier(e), self.with_prescribed(q), self.gap, state)
 
     def with_prescribed(self, q: Floats) -> Floats:
         """Return jumps (n, 3) with prescribed components in place of the solver's [mm]."""
@@ -542,7 +544,7 @@ class ContactInterfaces:
         """Residual e + W P at local points (n, 3) [N]; prescribed jumps where supports hold."""
         local, project_free = self.local, self.local.project_free
         r = e + local.weight[:, None] * law.force
-        scale = self.law.stiffness * local.weight
+        scale = self.laws.augmentation * local.weight
         return project_free(r) + scale[:, None] * (q - project_free(q) - self.prescribed)
 
     def row_factors(self, law: PointForces) -> tuple[Floats, Floats]:
@@ -552,7 +554,7 @@ class ContactInterfaces:
         """
         prescribed_projector, weight = self.local.projector, self.local.weight
         free_projector = np.eye(3) - prescribed_projector
-        P = free_projector @ law.by_multiplier @ self.law.multiplier_share @ free_projector
+        P = free_projector @ law.by_multiplier @ self.laws.multiplier_share @ free_projector
         by_jump = free_projector @ law.by_jump @ free_projector
-        scale = (self.law.stiffness * weight)[:, None, None]
+        scale = (self.laws.augmentation * weight)[:, None, None]
         return free_projector - P, weight[:, None, None] * by_jump + scale * prescribed_projector

@@ -13,8 +13,8 @@ import numpy as np
 from app.foundation.arrays import Bools, Floats, Ints
 from app.interfaces.corners import ContactPoints
 from app.mechanics.body_forms import BodyForms
-from app.mechanics.contact_law import PointLaw
 from app.mechanics.contact_state import LocalPoints
+from app.mechanics.point_laws import PointLaws
 from app.mechanics.stiffness import Stiffness, support_resistance
 from app.numerics.rigid_motions import motions_outside, relative_resistance, rigid_modes
 from forms.contact import OPEN
@@ -48,7 +48,7 @@ class ContactMotions:
         stiffness: Stiffness,
         points: ContactPoints,
         local: LocalPoints,
-        law: PointLaw,
+        law: PointLaws,
         *,
         has_finite_sliding: bool,
     ) -> None:

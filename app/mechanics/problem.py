@@ -16,7 +16,7 @@ with
   stress history of regions that set or creep (`update_stiffness`, `StressHistory`).
 - e: the equilibrium of the contact points (`JumpCoupling.equilibrium`); W their areas.
 - F: the forces of contact and other laws at equilibrium and jumps (`ContactInterfaces.trial`, by
-  `PointLaw.evaluate` from `InterfaceLaw.response`). See `mechanics.contact` for F = P(-e/W + r D).
+  `PointLaws.evaluate` from `InterfaceLaw.response`). See `mechanics.contact` for F = P(-e/W + r D).
 - In rows that supports prescribe, r_u is the deviation from their values (`Stiffness.prescribed`).
 
 K, C and D are assembled once. `mechanics.systems` adds the Jacobian. Heat changes f alone; the
@@ -308,7 +308,7 @@ class Problem:
         # Interfaces: equilibrium of the contact points, and the forces of their laws.
         trial = self.contact.trial(u, q, self.f_q)
         jumps = q.array_r.reshape(-1, 3)
-        r_q.array[:] = self.contact.residual(trial.equilibrium, jumps, trial.law).ravel()
+        r_q.array[:] = self.contact.residual(trial.equilibrium, jumps, trial.forces).ravel()
         return trial
 
     def update_pairs(self, u: PETSc.Vec, q: PETSc.Vec | None) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 from app.foundation.arrays import Floats, Ints
 from app.mechanics.coarse_space import displacement_by_motions, free_directions, sliding_motions
 from app.mechanics.contact import ContactInterfaces, TrialState
-from app.mechanics.contact_law import PointForces
+from app.mechanics.point_laws import PointForces
 from app.mechanics.problem import Problem
 from app.numerics.choice import SolverChoice
 from app.numerics.deflation import CoarseSpace
@@ -155,7 +155,7 @@ class ContactSystem(BondedSystem):
         assert trial is not None
         self.trial = trial
         r = f[1].array_r.reshape(-1, 3)
-        f[1].array[:] = self._without_uncertain_loads(r, trial.equilibrium, trial.law)
+        f[1].array[:] = self._without_uncertain_loads(r, trial.equilibrium, trial.forces)
 
     def _without_uncertain_loads(self, r: Floats, e: Floats, law: PointForces) -> Floats:
         """Residual of contact (3 n,) [N] without small loads along free motions; collective.
@@ -191,8 +191,8 @@ class ContactSystem(BondedSystem):
         contact = self.contact
         self.parts()
         self.trial = self._problem.trial(*x)
-        factors, added_blocks = contact.row_factors(self.trial.law)
-        self.law_status = self.trial.law.status
+        factors, added_blocks = contact.row_factors(self.trial.forces)
+        self.law_status = self.trial.forces.status
         if self._moves_loosely():
             springs = SPRING_STIFFNESS * contact.coupling.D.getDiagonal().array_r.reshape(-1, 3)
             added_blocks = added_blocks + springs[:, :, None] * np.eye(3)
@@ -211,7 +211,7 @@ class ContactSystem(BondedSystem):
 
     def _moves_loosely(self) -> bool:
         """Return True if forces move bodies that only open points resist; collective."""
-        contact, law = self.contact, self.trial.law
+        contact, law = self.contact, self.trial.forces
         motions = contact.motions.loose(law.status)
         if not motions.shape[1]:
             return False
@@ -305,7 +305,7 @@ class ContactSystem(BondedSystem):
             True if the state changes.
         """
         contact, problem = self.contact, self._problem
-        motions = contact.motions.free(self.trial.law.status)
+        motions = contact.motions.free(self.trial.forces.status)
         if not motions.shape[1]:
             return False
         jumps, w = contact.motions.relative(motions), contact.local.weight
@@ -337,8 +337,8 @@ class ContactSystem(BondedSystem):
         version = self._problem.stiffness.version
         if self._coarse_version != version:
             self._coarse_motions, self._coarse_version = sliding_motions(self._problem), version
-        free_projector, law = np.eye(3) - self.contact.local.projector, self.trial.law
-        resisted = law.resisted @ self.contact.law.layer_share
+        free_projector, law = np.eye(3) - self.contact.local.projector, self.trial.forces
+        resisted = law.resisted @ self.contact.laws.layer_share
         free_directions_of_points = free_projector @ free_directions(resisted) @ free_projector
         self._coarse_motions.update(
             free_directions_of_points, np.linalg.norm(law.traction_stiffness, axis=(1, 2))
@@ -348,4 +348,4 @@ class ContactSystem(BondedSystem):
     @property
     def status(self) -> Ints:
         """States of the contact points of this rank at the last residual (n,)."""
-        return self.trial.law.status
+        return self.trial.forces.status

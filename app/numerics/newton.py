@@ -287,7 +287,7 @@ class Solver:
     def restored(self) -> None:
         """Apply the restored augmentation; the preconditioners are rebuilt."""
         if self.system.contact:
-            self.system.contact.law.scale_augmentation(self.augmentation)
+            self.system.contact.laws.scale_augmentation(self.augmentation)
         self.linear.renew()
 
     # Residual

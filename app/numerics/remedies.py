@@ -38,12 +38,12 @@ def solve(solver: Solver) -> NewtonResult:
     solver.system.impose(solver.blocks())
     solver.residuals, solver.changes = [], []
     if contact:
-        contact.law.scale_augmentation(solver.augmentation)
+        contact.laws.scale_augmentation(solver.augmentation)
     runs: list[tuple[int, int]] = []
     start = solver.x.copy() if contact else solver.x
-    if contact and contact.law.freeze(True):
+    if contact and contact.laws.freeze():
         runs.append(solver.run())
-        contact.law.freeze(False)
+        contact.laws.unfreeze()
         if not solver.converged:
             start.copy(solver.x)
     runs.append(solver.run())
@@ -59,7 +59,7 @@ def solve(solver: Solver) -> NewtonResult:
     if (
         contact
         and solver.converged
-        and augmentation < SMALL_AUGMENTATION * contact.law.default_augmentation_ratio()
+        and augmentation < SMALL_AUGMENTATION * contact.laws.default_augmentation_ratio()
     ):
         augmentation, iterations = _refine(solver, contact)
         runs.append(iterations)
@@ -95,14 +95,14 @@ def _refine(solver: Solver, contact: Contact) -> tuple[float, tuple[int, int]]:
         The augmentation of the solution; Newton and Krylov iterations.
     """
     coarse, iterations_before = solver.x.copy(), len(solver.residuals)
-    default = contact.law.default_augmentation_ratio()
-    contact.law.scale_augmentation(default)
+    default = contact.laws.default_augmentation_ratio()
+    contact.laws.scale_augmentation(default)
     log.info("     converged: refining with augmentation %.3g r, the default", default)
     iterations = solver.run()
     if solver.converged:
         return default, iterations
     coarse.copy(solver.x)
-    contact.law.scale_augmentation(solver.augmentation)
+    contact.laws.scale_augmentation(solver.augmentation)
     del solver.residuals[iterations_before:], solver.changes[iterations_before:]
     solver.converged = True
     return solver.augmentation, iterations
@@ -131,11 +131,21 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
     if contact:
         closed = "constraining open interfaces of bodies that nothing else holds"
         yield from _with_switched_interfaces(
-            solver, start, contact.constrain, closed, "releasing these interfaces"
+            solver,
+            start,
+            contact.constrain,
+            contact.release,
+            closed,
+            "releasing these interfaces",
         )
         overlap = "closing interfaces where the open bodies overlap"
         yield from _with_switched_interfaces(
-            solver, start, contact.open, "opening all interfaces", overlap
+            solver,
+            start,
+            contact.open,
+            contact.allow_closing,
+            "opening all interfaces",
+            overlap,
         )
     if not solver.converged and solver.linear.factor_interfaces():
         start.copy(solver.x)
@@ -143,7 +153,7 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
     if contact is None:
         return
     if not solver.converged:
-        yield from _with_given_limits(solver, start, contact.law)
+        yield from _with_given_limits(solver, start, contact.laws)
     for remedy in AUGMENTATIONS:
         if solver.converged:
             return
@@ -154,14 +164,14 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
         if continues and cannot_continue(solver):
             continue
         if factor != solver.augmentation:
-            contact.law.scale_augmentation(factor)
+            contact.laws.scale_augmentation(factor)
             if not continues:
                 start.copy(solver.x)
             solver.augmentation = factor
             yield f"augmentation {factor:g} r{_augmentation_text(contact)}"
     if solver.converged:
         return
-    default = contact.law.default_augmentation_ratio()
+    default = contact.laws.default_augmentation_ratio()
     if default == 1.0:
         return
     start.copy(solver.x)
@@ -169,7 +179,7 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
         if cannot_continue(solver):
             return
         solver.augmentation = share * default
-        contact.law.scale_augmentation(solver.augmentation)
+        contact.laws.scale_augmentation(solver.augmentation)
         times = f"{share:g} times the default"
         yield f"augmentation {solver.augmentation:.3g} r, {times}{_augmentation_text(contact)}"
     yield from _with_other_search(solver)
@@ -178,7 +188,8 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
 def _with_switched_interfaces(
     solver: Solver,
     start: PETSc.Vec,
-    set_switched: Callable[[bool], bool],
+    switch: Callable[[], bool],
+    switch_back: Callable[[], None],
     switched_remedy: str,
     usual_remedy: str,
 ) -> Iterator[str]:
@@ -187,17 +198,18 @@ def _with_switched_interfaces(
     Args:
         solver: The solver. If a body has run away, its state is the start again.
         start: The state from which to start.
-        set_switched: Constrains or opens interfaces, or ends that; returns True if there are any.
+        switch: Constrains or opens interfaces; returns True if there are any.
+        switch_back: Ends that.
         switched_remedy: Name of the remedy with switched interfaces.
         usual_remedy: Name of the remedy after that.
     """
-    if solver.converged or not set_switched(True):
+    if solver.converged or not switch():
         return
     start.copy(solver.x)
     try:
         yield switched_remedy
     finally:
-        set_switched(False)
+        switch_back()
     if solver.system.runs_away(solver.blocks()):
         start.copy(solver.x)
     else:
@@ -209,7 +221,7 @@ def _with_given_limits(solver: Solver, start: PETSc.Vec, law: ContactLaw) -> Ite
 
     Where a solve under given limits does not converge, the state is that before the remedy.
     """
-    if not law.limit_friction(True):
+    if not law.limit_friction():
         return
     before = solver.x.copy()
     start.copy(solver.x)
@@ -217,7 +229,7 @@ def _with_given_limits(solver: Solver, start: PETSc.Vec, law: ContactLaw) -> Ite
         yield "limiting friction by given pressures, which follow those of the state"
         yield from _following_pressures(solver, law)
     finally:
-        law.limit_friction(False)
+        law.release_friction()
     if solver.converged:
         yield "limiting friction by the pressures of the state"
     else:

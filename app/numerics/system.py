@@ -53,15 +53,17 @@ class ContactLaw(Protocol):
     def default_augmentation_ratio(self) -> float:
         """Geometric mean of the default augmentation over the one of the case [-]; collective."""
 
-    def freeze(self, active: bool) -> bool:
-        """Freeze the internal variables, or let them change; return True if there are any."""
+    def freeze(self) -> bool:
+        """Freeze the internal variables; return True if there are any."""
 
-    def limit_friction(self, active: bool) -> bool:
-        """Limit friction by given pressures, zero at first, or by those of the state.
+    def unfreeze(self) -> None:
+        """Let the internal variables change."""
 
-        Returns:
-            True if there is contact with friction.
-        """
+    def limit_friction(self) -> bool:
+        """Limit friction by given pressures, zero at first; return False without friction."""
+
+    def release_friction(self) -> None:
+        """Limit friction by the pressures of the state."""
 
     def relax_limits(self, share: float) -> float:
         """Move the given pressures by a share towards those of the last state; collective.
@@ -75,25 +77,23 @@ class Contact(Protocol):
     """Interface between the nonlinear solver and the contact of a system."""
 
     @property
-    def law(self) -> ContactLaw:
+    def laws(self) -> ContactLaw:
         """Laws of the contact points."""
 
     def augmentation(self) -> dict[str, float]:
         """Current augmentation of each interface [MPa/mm]; collective."""
 
-    def constrain(self, active: bool) -> bool:
-        """Constrain interfaces that have to close before a body is held, or release them.
+    def constrain(self) -> bool:
+        """Constrain interfaces that have to close before a body is held; True if there are any."""
 
-        Returns:
-            True if interfaces are constrained.
-        """
+    def release(self) -> None:
+        """Release constrained interfaces."""
 
-    def open(self, active: bool) -> bool:
-        """Open all interfaces that can open, or let them close again.
+    def open(self) -> bool:
+        """Open all interfaces that can open; return True if there are any."""
 
-        Returns:
-            True if there are such interfaces.
-        """
+    def allow_closing(self) -> None:
+        """Let opened interfaces close."""
 
 
 class System(Protocol):

@@ -66,21 +66,21 @@ def least_friction(trial: TrialState) -> tuple[Floats, Floats]:
     edge with an elastic layer, friction is that along the edge, where the layer is elastic; the
     layer is rigid along the normals of all faces.
     """
-    contact, law, normals = trial.contact, trial.law, trial.contact.local.normals
+    contact, law, normals = trial.contact, trial.forces, trial.contact.local.normals
     pressures, friction = law.pressures.copy(), contact.state.friction.copy()
     opening = np.einsum("pi,pki->pk", trial.jump + contact.gap, normals)
     is_face = np.arange(3) < contact.local.faces[:, None]
-    rounding = CLOSED * np.linalg.norm(law.force, axis=1) / contact.law.stiffness
+    rounding = CLOSED * np.linalg.norm(law.force, axis=1) / contact.laws.augmentation
     is_closed = np.where(is_face, np.abs(opening) <= rounding[:, None], True).all(axis=1)
     has_edge = (contact.local.faces > 1) & (law.status == STICK)
-    rows = np.flatnonzero(has_edge & contact.law.has_contact & is_closed)
+    rows = np.flatnonzero(has_edge & contact.laws.has_contact & is_closed)
     on_faces = -np.einsum("pki,pi->pk", dual_vectors(normals[rows]), law.force[rows])
     pressed = (on_faces >= 0).all(axis=1)
     rows, on_faces = rows[pressed], on_faces[pressed]
     change = on_faces - pressures[rows]
     pressures[rows] = on_faces
     friction[rows] += np.einsum("pk,pki->pi", change, normals[rows])
-    has_layer = (contact.local.faces > 1) & contact.law.compliance.any(axis=(1, 2))
+    has_layer = (contact.local.faces > 1) & contact.laws.compliance.any(axis=(1, 2))
     duals = dual_vectors(normals[has_layer])
     along_normals = np.einsum("pki,pi->pk", duals, friction[has_layer])
     friction[has_layer] -= np.einsum("pk,pki->pi", along_normals, normals[has_layer])
@@ -102,9 +102,9 @@ def status_at_rest(trial: TrialState) -> Ints:
     """
     contact, state = trial.contact, trial.contact.state
     longest_path = contact.gather(state.path).max(initial=0.0)
-    is_resting = contact.law.frictional & (state.step_slip <= AT_REST * longest_path)
-    is_held = (contact.local.faces == 0) | (is_resting & (trial.law.status == SLIP))
-    return np.where(is_held, STICK, trial.law.status)
+    is_resting = contact.laws.frictional & (state.step_slip <= AT_REST * longest_path)
+    is_held = (contact.local.faces == 0) | (is_resting & (trial.forces.status == SLIP))
+    return np.where(is_held, STICK, trial.forces.status)
 
 
 def shear_of_faces(shear: Floats, pressures: Floats, of_faces: Floats) -> Floats:
@@ -242,8 +242,8 @@ class ContactSamples:
         self._contact, self._jump, self.contacts = contact, trial.jump, contacts
         # If a normal is wrong by an angle, slip times this angle is an overlap with pressure.
         pressed = np.linalg.norm(state.slip, axis=1) * points.normal_error[local.rows]
-        self.by_facets = contact.gather(contact.law.local_stiffness * pressed)
-        self._body_stiffness = at_corners(contact.law.local_stiffness)
+        self.by_facets = contact.gather(contact.laws.local_stiffness * pressed)
+        self._body_stiffness = at_corners(contact.laws.local_stiffness)
         self.facet_sizes = contact.edge_lengths
         self.surfaces = parts or [Surface(corners, i, {}) for i in range(len(contacts))]
 

@@ -33,7 +33,7 @@ def estimate(case: Case, model: Model) -> BoneInfluence | None:
     """
     geometry = case.geometry
     other_bones = geometry.other_bones
-    if not other_bones or not model.mechanical_path:
+    if not other_bones or not model.mechanics:
         return None
     coarsest = geometry.coarsest_size
     mesh = case.mesh.coarser(min(COARSER, coarsest / case.mesh.size) if case.mesh.size else 1.0)

@@ -167,10 +167,10 @@ class Model:
             )
         with timing.phase("assemble"):
             self.scene: Scene = build_scene(case)
-            self.analysis, self.mechanical_path = self._assemble()
+            self.analysis, self.mechanics = self._assemble()
             self.records: dict[str, Record] = {}
             self.probes: ProbedMechanics | None = None
-            heating, mechanics = self.analysis.heating, self.mechanical_path
+            heating, mechanics = self.analysis.heating, self.mechanics
             if mechanics:
                 self.probes = ProbedMechanics(case, mechanics.problem)
                 heat = heating.step if heating else None
@@ -208,7 +208,7 @@ class Model:
         case, same_stiffness = self.case, None
         earlier: Model | None = None
         for model in self._other_models if not self.scene.stiffness_varies else ():
-            mechanics = model.mechanical_path
+            mechanics = model.mechanics
             if mechanics is None or mechanics.problem.body_forms.density_regions:
                 continue
             if model.deforms_like(case):
@@ -231,10 +231,10 @@ class Model:
             stop=self.stop,
         )
         place = self.scene, self.tagged, settings, self._timing
-        if earlier is not None and earlier.mechanical_path is not None:
+        if earlier is not None and earlier.mechanics is not None:
             analysis = assemble(*place, reuse=earlier.analysis)
-            earlier.mechanical_path.begin()
-            return analysis, earlier.mechanical_path
+            earlier.mechanics.begin()
+            return analysis, earlier.mechanics
         analysis = assemble(*place, same_stiffness=same_stiffness)
         if analysis.problem is None or analysis.solver is None:
             return analysis, None
@@ -243,12 +243,12 @@ class Model:
     def sizes(self) -> dict[str, int]:
         """Unknowns by block."""
         sizes = dict(self.thermal.heating.solver.block_sizes) if self.thermal else {}
-        return sizes | (self.mechanical_path.solver.block_sizes if self.mechanical_path else {})
+        return sizes | (self.mechanics.solver.block_sizes if self.mechanics else {})
 
     def layers(self) -> list[FieldGroup]:
         """Groups of fields to be written: mechanics, heat."""
         field_groups: list[FieldGroup] = []
-        mechanics = self.mechanical_path
+        mechanics = self.mechanics
         if mechanics:
             field_groups.append(
                 MechanicalFields(
@@ -293,7 +293,7 @@ class Model:
                 t.update(accepted)
             on_heat(step, accepted)
 
-        mechanics, stages = self.mechanical_path, self.scene.stages
+        mechanics, stages = self.mechanics, self.scene.stages
         if mechanics:
             on_step = mechanics.stem.before(on_step)
         predictors = self._predictors(mechanics) if mechanics else ()
@@ -306,7 +306,7 @@ class Model:
         """All state on which later steps depend, in the order in which it is restored."""
         saved_objects: dict[str, object] = {
             **self.records,
-            "mechanical_path": self.mechanical_path,
+            "mechanics": self.mechanics,
             "thermal": self.thermal,
             "heat_stepper": self._steppers.heat,
             "load_stepper": self._steppers.load,
@@ -338,8 +338,8 @@ class Model:
 
     def _cheaper(self, case: Case) -> LoadStepper:
         cheaper = self._other_model(case, self._timing.of("cheaper model"))
-        assert cheaper.mechanical_path is not None
-        predictors = cheaper._predictors(cheaper.mechanical_path)
+        assert cheaper.mechanics is not None
+        predictors = cheaper._predictors(cheaper.mechanics)
         stepper = cheaper.analysis.load_stepper(on_trouble=log.debug, predictors=predictors)
         assert stepper is not None
         return stepper
@@ -353,7 +353,7 @@ class Model:
     def numbers(self, samples: ContactSamples | None) -> Summary:
         """All published numbers; collective."""
         numbers: Summary = {"interfaces": {}, "regions": {}, "stem": {}, "probes": {}}
-        mechanics = self.mechanical_path
+        mechanics = self.mechanics
         if mechanics:
             elastic = mechanics.problem.scene.elastic
             if samples is not None:
@@ -385,7 +385,7 @@ class Model:
 
     def floating_bodies(self) -> list[Verdict]:
         """Warnings on bodies that nothing holds in the last state; collective."""
-        path = self.mechanical_path
+        path = self.mechanics
         if path is None or path.problem.contact is None:
             return []
         return loose_bodies.floating_bodies(
@@ -401,7 +401,7 @@ class Model:
             numbers["layers"] = notes["layers"]
         if "cortex_min" in notes:
             numbers["cortex_min"] = notes["cortex_min"]
-        mechanics = self.mechanical_path
+        mechanics = self.mechanics
         if mechanics and mechanics.zones:
             numbers["gruen"] = by_zone(
                 mechanics.problem, mechanics.stresses, samples, mechanics.zones
@@ -411,7 +411,7 @@ class Model:
         """Solve a companion case; return its numbers; collective."""
         other_model = self._other_model(case, Timing("estimating errors"))
         last_trial: TrialState | None = None
-        mechanics = other_model.mechanical_path
+        mechanics = other_model.mechanics
 
         def keep(step: LoadStep, trial: TrialState | None) -> None:
             nonlocal last_trial

@@ -102,7 +102,7 @@ class Recorder:
         centre_of_moments = np.array(case.geometry.points.get("head_centre", (0.0, 0.0, 0.0)))
         self.balance: Balance | None = None
         self._critical: dict[str, float] = {}
-        mechanics = model.mechanical_path
+        mechanics = model.mechanics
         if mechanics:
             with timing.phase("assemble"):
                 self.balance = mechanics.balance(centre_of_moments)
@@ -122,14 +122,14 @@ class Recorder:
     @property
     def row_keys(self) -> dict[str, Ints]:
         """Keys of owned contact points."""
-        mechanics = self._model.mechanical_path
+        mechanics = self._model.mechanics
         contact = mechanics.problem.contact if mechanics else None
         return dict.fromkeys(("contact_state", "valley"), contact.row_keys) if contact else {}
 
     def restored(self) -> None:
         """Continue from a restored model; collective."""
         # Before the first solve of the mechanics the balance is at rest, without temperatures.
-        mechanics = self._model.mechanical_path
+        mechanics = self._model.mechanics
         if self.mechanical_row and mechanics and self.balance:
             u, q = mechanics.solver.u_and_q()
             trial = mechanics.problem.trial(u, q) if q is not None else None
@@ -137,8 +137,8 @@ class Recorder:
             if trial is not None:
                 pressures = self.contact_state["pressures"].astype(np.float64)
                 status = self.contact_state["status"].astype(np.int64)
-                law = replace(trial.law, pressures=pressures, status=status)
-                trial = replace(trial, law=law)
+                law = replace(trial.forces, pressures=pressures, status=status)
+                trial = replace(trial, forces=law)
                 jump_at_valley = self.valley.get("jump")
                 self.samples = ContactSamples(
                     mechanics.problem, trial, jump_at_valley, mechanics.surfaces
@@ -163,11 +163,14 @@ class Recorder:
     def step(self, step: LoadStep, trial: TrialState | None) -> None:
         """Record a step of the mechanics; collective."""
         with self._timing.phase("output"):
-            mechanics, balance = self._model.mechanical_path, self.balance
+            mechanics, balance = self._model.mechanics, self.balance
             assert mechanics is not None and balance is not None
             balance.update(mechanics.solver.u_and_q()[0], trial)
             if trial is not None:
-                self.contact_state = {"pressures": trial.law.pressures, "status": trial.law.status}
+                self.contact_state = {
+                    "pressures": trial.forces.pressures,
+                    "status": trial.forces.status,
+                }
                 jump_at_valley = self.valley.get("jump")
                 self.samples = ContactSamples(
                     mechanics.problem, trial, jump_at_valley, mechanics.surfaces
@@ -233,7 +236,7 @@ class Recorder:
             "moment balance [-]": balance.moment,
             "energy balance [-]": balance.energy,
         }
-        mechanics = self._model.mechanical_path
+        mechanics = self._model.mechanics
         creep = mechanics.problem.creep if mechanics else None
         if creep:
             row[f"creep {creep.measure} [{creep.unit}]"] = creep.elapsed
@@ -288,7 +291,7 @@ class Recorder:
     def summary(self, status: str, total: Effort | None) -> Summary:
         """The summary of the last committed state; collective."""
         model, counted = self._model, total or self.total
-        mechanics = model.mechanical_path
+        mechanics = model.mechanics
         contact = mechanics and mechanics.problem.contact
         comm, sizes = model.tagged.mesh.comm, model.sizes()
         b, t = self.balance, model.thermal
@@ -339,7 +342,7 @@ class Recorder:
 
     def close(self, status: str, verdicts: Sequence[Verdict]) -> None:
         """Write the last converged state and the verdicts, if the disk allows; collective."""
-        mechanics = self._model.mechanical_path
+        mechanics = self._model.mechanics
         if mechanics:
             # The problem still has the loads of the failed step.
             mechanics.problem.set_time(self.time)

@@ -348,7 +348,7 @@ class _CaseRun:
 
     def _add_condition_number(self, summary: Summary) -> None:
         """Add the condition number of the last Jacobian, if requested; collective."""
-        mechanics = self._model.mechanical_path
+        mechanics = self._model.mechanics
         if self._case.output.condition and mechanics:
             A = mechanics.solver.snes.getJacobian()[0]
             summary["solver"]["condition"] = condition_number(A)

@@ -82,7 +82,7 @@ class Cover:
     def pressed_beyond_rim(self, trial: TrialState) -> Verdict | None:
         """Return an error on contact beyond the rim of a surface; collective."""
         for c, points, rim_distance, *_ in self._points(trial.jump):
-            is_pressed = trial.law.pressures[points, 0] > 0
+            is_pressed = trial.forces.pressures[points, 0] > 0
             furthest, place = self._largest(points, np.where(is_pressed, rim_distance, 0.0))
             if furthest > 0:
                 master, slave = c.between or ("", "")

@@ -221,9 +221,11 @@ def explain(
         return Explanation(outcome, Verdict(_residuals(outcome), remedy=remedy))
     trial, first_trial = problem.trial(u, q), problem.trial(*solver.u_and_q(solver.first_state))
     contact = trial.contact
-    controlled = contact.law.dissipates
-    damage = sum(float(t.law.outputs["dissipated"][controlled].sum()) for t in (trial, first_trial))
-    breaks = bool(contact.law.internal_variables and problem.comm.allreduce(damage, MPI.SUM) > 0)
+    controlled = contact.laws.dissipates
+    damage = sum(
+        float(t.forces.outputs["dissipated"][controlled].sum()) for t in (trial, first_trial)
+    )
+    breaks = bool(contact.laws.internal_variables and problem.comm.allreduce(damage, MPI.SUM) > 0)
     loose_texts: list[str] = []
     # A body whose cohesive interface breaks in this step is not free.
     if not breaks:
@@ -322,12 +324,12 @@ def _oscillating(problem: Problem, contact: ContactInterfaces, active: ActiveSet
 def _largest(problem: Problem, trial: TrialState) -> str:
     """Interface, place and state of the largest residual of contact points; collective."""
     contact = trial.contact
-    r = np.linalg.norm(contact.residual(trial.equilibrium, trial.jump, trial.law), axis=1)
+    r = np.linalg.norm(contact.residual(trial.equilibrium, trial.jump, trial.forces), axis=1)
     local = [
         (
             float(r[k]),
             f"largest residual: {r[k]:.2e} N {_place(problem, contact, k)}, "
-            f"{_state(trial.law.status[k])}",
+            f"{_state(trial.forces.status[k])}",
         )
         for k in ([int(np.argmax(r))] if len(r) else [])
     ]

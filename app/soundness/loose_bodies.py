@@ -87,7 +87,7 @@ def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> lis
     contact, body_names = trial.contact, problem.bodies.names
     x = contact.points.x
     centre, size = contact.motions.frame
-    B = np.where((trial.law.status == OPEN)[:, None, None], 0.0, trial.law.resisted)
+    B = np.where((trial.forces.status == OPEN)[:, None, None], 0.0, trial.forces.resisted)
     R = contact.motions.jumps_by_motion
     A = _gathered(problem, contact.local.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R))
     total = float(np.sum(contact.points.weight)) or 1.0
@@ -99,7 +99,7 @@ def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> lis
     values, vectors = np.linalg.eigh((A + A.T) / 2)
     free_vectors = vectors[:, values <= FREE * max(values[-1], total)]
     if moved:
-        free_vectors = motions_outside(free_vectors, contact.motions.free(trial.law.status))
+        free_vectors = motions_outside(free_vectors, contact.motions.free(trial.forces.status))
     at_body = [(contact.points.bodies == b).any(axis=1) for b in range(len(body_names))]
     centres = np.array([x[mask].mean(axis=0) if mask.any() else centre for mask in at_body])
     return describe(free_vectors, [f"'{name}'" for name in body_names], centres, centre, size)
@@ -108,9 +108,9 @@ def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> lis
 def pushed_freely(problem: Problem, trial: TrialState) -> list[str]:
     """Bodies that loads, however small, push along an unresisted motion; collective."""
     contact = trial.contact
-    motions = contact.motions.free(trial.law.status)
+    motions = contact.motions.free(trial.forces.status)
     motion = motions @ (motions.T @ _on_bodies(problem))
-    pressures = contact.local.weight[:, None] * trial.law.pressures
+    pressures = contact.local.weight[:, None] * trial.forces.pressures
     return _pulls(problem, motion, pressures)
 
 
@@ -229,7 +229,7 @@ def runaway(problem: Problem, trial: TrialState) -> Verdict | None:
         largest = max(problem.comm.allgather(float(distance[at_interface].max(initial=0.0))))
         if largest <= RUNAWAY * size + LEVER * largest_prescribed:
             continue
-        pressed = (trial.law.pressures[at_interface] > 0).any()
+        pressed = (trial.forces.pressures[at_interface] > 0).any()
         if term.between and any(problem.comm.allgather(bool(pressed))):
             continue  # finite sliding
         motion_text = (
@@ -263,12 +263,12 @@ def floating_bodies(problem: Problem, trial: TrialState) -> list[Verdict]:
     contact, body_names = trial.contact, problem.bodies.names
     local, size = contact.local, contact.motions.frame[1]
     gaps = np.einsum("pi,pki->pk", contact.gap_vector(trial.jump), local.normals).max(axis=1)
-    is_open = trial.law.status == OPEN
+    is_open = trial.forces.status == OPEN
     if not any(problem.comm.allgather(bool((is_open & (gaps > GAP * size)).any()))):
         return []
-    rounding = UNPRESSED * contact.law.stiffness * size
-    is_unpressed = contact.law.slides & (trial.law.pressures.max(axis=1) <= rounding)
-    motions = contact.motions.loose(np.where(is_unpressed, OPEN, trial.law.status))
+    rounding = UNPRESSED * contact.laws.augmentation * size
+    is_unpressed = contact.laws.slides & (trial.forces.pressures.max(axis=1) <= rounding)
+    motions = contact.motions.loose(np.where(is_unpressed, OPEN, trial.forces.status))
     centres = np.tile(contact.motions.frame[0], (len(body_names), 1))
     motion_texts = describe(
         motions, [f"'{name}'" for name in body_names], centres, *contact.motions.frame
@@ -417,8 +417,8 @@ def _against_spread(
 ) -> tuple[Floats, Floats]:
     """Resistance to rigid motions R (p, 3, 6): of contact, and of the spread of normals."""
     contact, points = trial.contact, trial.contact.points
-    r = np.where(trial.law.status == OPEN, 0.0, contact.law.stiffness * contact.local.weight)
-    B = trial.law.resisted
+    r = np.where(trial.forces.status == OPEN, 0.0, contact.laws.augmentation * contact.local.weight)
+    B = trial.forces.resisted
     # Friction holds a touching point, although its stiffness is zero while it slips.
     S = np.where(smooth[:, None, None], (B + B.transpose(0, 2, 1)) / 2, np.eye(3))
     normal_spread = spread_of_normals(points.surface.x, points.surface.normals, points.triangles)
@@ -429,7 +429,7 @@ def _against_spread(
     )
     # Random errors of normals cancel in the mean, so the mean counts once for each point.
     touching = np.einsum(
-        "pk,pki->pi", (trial.law.pressures > 0).astype(float), contact.local.normals
+        "pk,pki->pi", (trial.forces.pressures > 0).astype(float), contact.local.normals
     )
     mean = r[:, None] * np.einsum("pij,pi->pj", R, touching)
     body_pairs = np.column_stack([points.interface, points.bodies])

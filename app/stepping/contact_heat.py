@@ -13,7 +13,7 @@ normals that are pressed. Pressures and friction work change by
           \qquad dS = -de/W + r\,dq
 
 with e the equilibrium in the rows of the contact points. Only a share of the multiplier -e/W enters
-S and s (`PointLaw.multiplier_share`).
+S and s (`PointLaws.multiplier_share`).
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ class ContactHeat:
         )
         jumps, friction = self._operators.jumps, self._operators.friction
         if jumps is not None and self.pressure_interpolation is not None:
-            jumps.pressure = _multiply(self.pressure_interpolation, trial.law.pressures.ravel())
+            jumps.pressure = _multiply(self.pressure_interpolation, trial.forces.pressures.ravel())
         if friction is not None:
             friction.nodal = np.array([_multiply(H, power) for H in self.nodal_heat])
             for i, c in enumerate(self._problem.scene.contacts):
@@ -129,11 +129,11 @@ class ContactHeat:
 
     def rounding(self, trial: TrialState) -> float:
         """Rounding error of the friction power by long slips [N mm/s]; collective."""
-        contact, law = self._contact, self._contact.law
+        contact, laws = self._contact, self._contact.laws
         slip = np.linalg.norm(trial.jump - contact.state.jump, axis=1)
         # Rounding of equilibrium grows with the displacements of the bodies.
         local_stiffness = contact.coupling.D.getDiagonal().array.reshape(-1, 3).max(axis=1)
-        stiffness = local_stiffness + law.stiffness * contact.local.weight
+        stiffness = local_stiffness + laws.augmentation * contact.local.weight
         force = stiffness * np.linalg.norm(trial.jump, axis=1)
         power = np.where(self.is_rubbing, force * slip, 0.0) / self._stage_length
         total = self._problem.comm.allreduce(float(np.sum(power**2)), MPI.SUM)
@@ -141,28 +141,28 @@ class ContactHeat:
 
     def pressure_rows(self, trial: TrialState) -> tuple[Floats, Floats]:
         """Derivatives of the pressures of owned faces: by equilibrium, by the jump (n, 3, 3)."""
-        is_pressed = (trial.law.pressures != 0)[:, :, None]
+        is_pressed = (trial.forces.pressures != 0)[:, :, None]
         return self._rows(-dual_vectors(is_pressed * self._contact.local.normals), trial)
 
     def power_rows(self, trial: TrialState) -> tuple[Floats, Floats]:
         """Derivatives of the friction power: by equilibrium, by the jump (n, 1, 3)."""
         contact = self._contact
         force, slip = trial.friction_and_slip()
-        spring_slip = force / contact.law.stiffness[:, None]
+        spring_slip = force / contact.laws.augmentation[:, None]
         by_equilibrium, by_jump = self._rows((slip - spring_slip)[:, None], trial)
         scale = np.where(self.is_rubbing, 1 / self._stage_length, 0.0)[:, None, None]
-        multiplier_share = contact.law.multiplier_share / contact.local.weight[:, None, None]
+        multiplier_share = contact.laws.multiplier_share / contact.local.weight[:, None, None]
         by_spring_slip = np.einsum("pi,pij->pj", spring_slip, multiplier_share)
         by_equilibrium -= by_spring_slip[:, None]
         return scale * by_equilibrium, scale * (by_jump + force[:, None])
 
     def _rows(self, directions: Floats, trial: TrialState) -> tuple[Floats, Floats]:
         """Derivatives of the force along directions (n, k, 3): by equilibrium, by the jump."""
-        by_force = directions @ trial.law.by_multiplier
+        by_force = directions @ trial.forces.by_multiplier
         multiplier_share = (
-            self._contact.law.multiplier_share / self._contact.local.weight[:, None, None]
+            self._contact.laws.multiplier_share / self._contact.local.weight[:, None, None]
         )
-        return -by_force @ multiplier_share, directions @ trial.law.by_jump
+        return -by_force @ multiplier_share, directions @ trial.forces.by_jump
 
 
 def _interpolations(

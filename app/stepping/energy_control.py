@@ -54,10 +54,10 @@ def dissipated_energy(problem: Problem, u: PETSc.Vec, q: PETSc.Vec | None) -> tu
         The energy [N mm], and its derivative with respect to owned jumps (3 n,) [N].
     """
     contact = problem.contact
-    if contact is None or q is None or not contact.law.internal_variables:
+    if contact is None or q is None or not contact.laws.internal_variables:
         return 0.0, np.zeros(0)
-    outputs = problem.trial(u, q).law.outputs
-    weight = np.where(contact.law.dissipates, contact.local.weight, 0.0)
+    outputs = problem.trial(u, q).forces.outputs
+    weight = np.where(contact.laws.dissipates, contact.local.weight, 0.0)
     local = float(weight @ outputs["dissipated"])
     return problem.comm.allreduce(local), (weight[:, None] * outputs["dissipated_by_jump"]).ravel()
 
@@ -84,11 +84,11 @@ def start_beyond_onset(
         Fraction of the path at that state, or None if no damage is possible; collective.
     """
     contact, start = problem.contact, solver.x.copy()
-    if contact is None or not contact.law.freeze(True):
+    if contact is None or not contact.laws.freeze():
         return None
     set_load(path[1])
     solver.run()
-    contact.law.freeze(False)
+    contact.laws.unfreeze()
     end = solver.x.copy()
 
     def move_to(fraction: float) -> float:
@@ -167,7 +167,7 @@ class EnergyControl(MatrixFree):
         solver.residuals, solver.changes = [], []
         solver.scales = [*load_solver.scales, 0.0] if load_solver.scales else []
         if load_solver.system.contact:
-            load_solver.system.contact.law.scale_augmentation(load_solver.augmentation)
+            load_solver.system.contact.laws.scale_augmentation(load_solver.augmentation)
         *x, load = solver.blocks()
         _copy(load_solver.blocks(), x)
         load.set(fraction)

@@ -31,16 +31,14 @@ class HeatStepper:
     """Time stepping of heat with error control.
 
     Args:
-        mechanical_path: Mechanics that are solved with or after the heat, if any.
+        mechanics: Mechanics that are solved with or after the heat, if any.
         on_heat: Called after each committed step, once the mechanics have followed.
     """
 
-    saved = ("under_way", "stage_start", "steps_done", "controller", "mechanical_path")
+    saved = ("under_way", "stage_start", "steps_done", "controller", "mechanics")
 
-    def __init__(
-        self, heating: HeatState, mechanical_path: Mechanics | None, on_heat: OnHeat
-    ) -> None:
-        self.heating, self.mechanical_path, self._on_heat = heating, mechanical_path, on_heat
+    def __init__(self, heating: HeatState, mechanics: Mechanics | None, on_heat: OnHeat) -> None:
+        self.heating, self.mechanics, self._on_heat = heating, mechanics, on_heat
         self.under_way, self.stage_start, self.steps_done = False, 0.0, 0
         self.controller = Controller(heating.method)
 
@@ -53,8 +51,8 @@ class HeatStepper:
         """Run a stage that takes time, or solve for its steady state."""
         if not self.under_way:
             self.stage_start, self.steps_done = self.heating.seconds, 0
-        if self.mechanical_path is not None:
-            self.mechanical_path.begin(k, stage, not self.under_way)
+        if self.mechanics is not None:
+            self.mechanics.begin(k, stage, not self.under_way)
         self.under_way = True
         self._k, self._stage = k, stage
         advance(self, self._control_of(stage), checkpoint_point)
@@ -122,8 +120,8 @@ class HeatStepper:
             accepted_step = self.heating.accept(*self._solution, step.length)
         assert accepted_step is not None
         time = self._k + (1.0 if step.end > 1 - SHORTEST_STEP else step.end)
-        if self.mechanical_path is not None:
-            self.mechanical_path.follow(time, step.ends_increment)
+        if self.mechanics is not None:
+            self.mechanics.follow(time, step.ends_increment)
         outcome, seconds = accepted_step.outcome, clock.perf_counter() - started
         load_step = LoadStep(
             self.total.steps, self._stage.name, time, outcome, seconds, step.ends_increment

@@ -78,7 +78,7 @@ class Coupled:
 
     def state(self) -> dict[str, Floats]:
         """Blocks of the last state."""
-        blocks = dict(self.model.mechanical_path.solver.blocks_by_name())
+        blocks = dict(self.model.mechanics.solver.blocks_by_name())
         blocks |= self.model.thermal.heating.solver.blocks_by_name()
         return {name: v.array.copy() for name, v in blocks.items()}
 
@@ -107,7 +107,7 @@ def solve(
     before = [0.0]
 
     def so_far() -> float:
-        jumps = [made.mechanical_path.problem.contact] if made.mechanical_path else []
+        jumps = [made.mechanics.problem.contact] if made.mechanics else []
         return sum(float(j.state.dissipation.sum()) for j in jumps)
 
     def on_heat(step: LoadStep, accepted: HeatStep) -> None:

@@ -107,7 +107,7 @@ def solve(*overrides: str, tagged: TaggedMesh | None = None) -> list[Step]:
         steps.append(
             Step(
                 step.outcome.iterations,
-                local.weight * trial.law.pressures[:, 0],
+                local.weight * trial.forces.pressures[:, 0],
                 normal,
                 local.weight @ -state.force,
                 np.cross(R * normal, friction).sum(axis=0),

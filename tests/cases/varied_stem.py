@@ -59,8 +59,8 @@ class Runs:
         def keep(step: LoadStep, trial: TrialState | None) -> None:
             iterations.append(step.outcome.iterations)
             if trial is not None:
-                last[:] = [ContactSamples(model.mechanical_path.problem, trial)]
+                last[:] = [ContactSamples(model.mechanics.problem, trial)]
 
         model.run(keep, on_trouble=print)
-        moved = model.mechanical_path.problem.displacements()
+        moved = model.mechanics.problem.displacements()
         return [u.x.array.copy() for u in moved], iterations, model.numbers(last[0])

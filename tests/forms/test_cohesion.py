@@ -11,8 +11,8 @@ import pytest
 
 from app.foundation.arrays import Floats
 from app.laws.interface_laws import Cohesive
-from app.mechanics.contact_law import PointForces, PointLaw
 from app.mechanics.contact_state import ContactState, LocalPoints
+from app.mechanics.point_laws import PointForces, PointLaws
 from app.system.timing import Timing
 
 K = 1e4  # stiffness [MPa/mm]
@@ -59,7 +59,7 @@ class Points:
             )
             for friction in μ
         ]
-        self.law = PointLaw(MPI.COMM_SELF, points, Timing())
+        self.law = PointLaws(MPI.COMM_SELF, points, Timing())
         every = [{k: float(v) for k, v in law.constants.items()} for law in laws]
         values = {k: np.array([constants[k] for constants in every])[interface] for k in every[0]}
         values["μ"] = np.array(μ)[interface]

@@ -23,9 +23,9 @@ from ufl.core.expr import Expr
 
 from app.foundation.arrays import Floats
 from app.laws.interface_laws import Coulomb
-from app.mechanics import contact_law as point_law
-from app.mechanics.contact_law import PointLaw, gap_vectors
+from app.mechanics import point_laws
 from app.mechanics.contact_state import ContactState, LocalPoints
+from app.mechanics.point_laws import PointLaws, gap_vectors
 from app.numerics.pointwise import Pointwise
 from app.system.timing import Timing
 from forms.contact import OPEN, SLIP, STICK, contact_law
@@ -123,7 +123,7 @@ def derived(p: Points, friction: bool, *wanted: str) -> list[Floats]:
     return Pointwise(MPI.COMM_SELF, len(p.μ), sizes, build)(**values)
 
 
-def law_of(p: Points, friction: bool, prescribed: Floats | None = None) -> PointLaw:
+def law_of(p: Points, friction: bool, prescribed: Floats | None = None) -> PointLaws:
     """The compiled law, as the application uses it, with tangential directions (n, 3, 3) held."""
     n = len(p.μ)
     normals = np.zeros((n, 3, 3))
@@ -133,14 +133,14 @@ def law_of(p: Points, friction: bool, prescribed: Floats | None = None) -> Point
     number, sides = np.arange(n), np.zeros((n, 2), dtype=np.int64)
     held = tensors if prescribed is None else prescribed
     local_points = LocalPoints(number, number, none, sides, faces, normals, np.ones(n), held, held)
-    law = PointLaw(MPI.COMM_SELF, local_points, Timing())
+    law = PointLaws(MPI.COMM_SELF, local_points, Timing())
     laws = [Coulomb(friction_coefficient=float(μ) * friction) for μ in p.μ]
     law.begin(laws, {"μ": p.μ * friction}, 1.0, tensors + np.eye(3))
     return law
 
 
-def force_of(law: PointLaw, p: Points, F: Floats | None = None) -> point_law.PointForces:
-    law.stiffness = p.r
+def force_of(law: PointLaws, p: Points, F: Floats | None = None) -> point_laws.PointForces:
+    law.augmentation = p.r
     state = replace(ContactState.at_rest(p.gap, {}), jump=p.old)
     return law.evaluate(p.F if F is None else F, p.jump, p.gap, state)
 
@@ -260,7 +260,7 @@ class Broken:
     jammed: NDArray[np.bool_]
 
 
-def conditions(p: Points, friction: bool, out: point_law.PointForces) -> Broken:
+def conditions(p: Points, friction: bool, out: point_laws.PointForces) -> Broken:
     P, faces = out.force, p.faces
     size = np.linalg.norm(p.S, axis=1) + np.linalg.norm(p.dS, axis=1)
     gap = np.einsum("nki,ni->nk", p.normals, p.S - P)  # times r
@@ -379,10 +379,10 @@ def test_contact_law_along_prescribed_jumps_has_coulomb_friction(directions: int
     local_points = LocalPoints(
         number, number, none, sides, ones.astype(np.int64), normals, ones, prescribed, prescribed
     )
-    law = PointLaw(MPI.COMM_SELF, local_points, Timing())
+    law = PointLaws(MPI.COMM_SELF, local_points, Timing())
     laws = [Coulomb(friction_coefficient=float(m)) for m in μ]
     law.begin(laws, {"μ": μ}, 1.0, np.tile(np.eye(3), (n, 1, 1)))
-    law.stiffness = r
+    law.augmentation = r
     out = law.evaluate(F, jump, none, ContactState.at_rest(none, {}))
     assert np.isfinite(out.by_multiplier).all() and np.isfinite(out.by_jump).all()
     scale = np.linalg.norm(F, axis=1) + a
@@ -426,7 +426,7 @@ def test_contact_law_along_a_prescribed_edge() -> None:
 
 
 @cache
-def edge_law() -> PointLaw:
+def edge_law() -> PointLaws:
     return law_of(EDGE, True)
 
 

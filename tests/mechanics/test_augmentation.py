@@ -32,7 +32,7 @@ mesh: {order: 1, size: 2.5 mm}
 def chosen(text: str, *overrides: str) -> np.ndarray:
     """Augmentation of each contact point [MPa/mm]."""
     problem, _ = support.assemble(support.case(text, *overrides))
-    return np.asarray(problem.contact.law.stiffness)
+    return np.asarray(problem.contact.laws.augmentation)
 
 
 def test_augmentation_scales_as_stiffness_per_length() -> None:
@@ -53,8 +53,8 @@ def test_augmentation_follows_softened_cement() -> None:
     """Cement that softens in place takes its augmentation with it, as far as it was lowered."""
     problem, _ = support.assemble(support.case(STEM))
     j = problem.contact
-    j.law.scale_augmentation(0.1)
-    before = j.law.stiffness.copy()
+    j.laws.scale_augmentation(0.1)
+    before = j.laws.stiffness.copy()
     coupling = j.coupling._assemble
 
     def softer(*arguments: object) -> object:
@@ -65,7 +65,7 @@ def test_augmentation_follows_softened_cement() -> None:
 
     j.coupling._assemble = softer  # type: ignore[method-assign,assignment]
     problem._reassemble()
-    np.testing.assert_allclose(j.law.stiffness, 0.01 * before, rtol=1e-12)
+    np.testing.assert_allclose(j.laws.stiffness, 0.01 * before, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_augmentation_default_is_found_from_any_given_value() -> None:
         (springs, 1.0),
     ):
         _, solver = support.assemble(support.case(STEM, *overrides))
-        assert solver.system.contact.law.default_augmentation_ratio() == pytest.approx(multiple)
+        assert solver.system.contact.laws.default_augmentation_ratio() == pytest.approx(multiple)
 
 
 def test_augmentation_does_not_change_a_penalty() -> None:
@@ -134,7 +134,7 @@ def test_augmentation_does_not_change_a_penalty() -> None:
             h = j.state
             states.append(np.column_stack([h.jump, h.force, h.path, h.dissipation]))
         statuses.append(np.array(states))
-        assert (j.law.stiffness <= factor * 5e3).all()
+        assert (j.laws.stiffness <= factor * 5e3).all()
     size = np.abs(statuses[0]).max(axis=(0, 1))
     assert (np.abs(statuses[1] - statuses[0]).max(axis=(0, 1)) <= 1e-8 * size).all()
     assert statuses[0][-1, :, -1].sum() > 0

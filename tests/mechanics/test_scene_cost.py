@@ -10,7 +10,7 @@ import pytest
 import ufl
 
 from app.heat import heat_forms, temperature_jumps
-from app.mechanics import body_forms, contact_law
+from app.mechanics import body_forms, point_laws
 from app.mechanics.problem import Problem
 from app.numerics.newton import Solver
 from app.simulation import model
@@ -52,7 +52,7 @@ def made(text: str, *overrides: str) -> Bill:
     counts = dict.fromkeys(("heat_laws", "forms", "heat_forms", "integrals"), 0)
     systems: list[tuple[str, ...]] = []
     laws: list[tuple[int, bool]] = []
-    law = contact_law._compile_law
+    law = point_laws._compile_law
 
     def count(where: Any, name: str, *keys: str) -> None:
         real = getattr(where, name)
@@ -78,7 +78,7 @@ def made(text: str, *overrides: str) -> Bill:
 
     case = support.case(text, *overrides)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(contact_law, "_compile_law", compiled)
+        patch.setattr(point_laws, "_compile_law", compiled)
         count(temperature_jumps.interface_heat, "flux_and_derivatives", "heat_laws")
         for name in COMPILERS:
             count(body_forms.fem, name, "forms", "integrals")
@@ -89,7 +89,7 @@ def made(text: str, *overrides: str) -> Bill:
                 patch.setattr(stages, name, refuse)
         this = model.Model(case, support.MPI.COMM_WORLD, {}, Timing(), str)
     counts["forms"] -= counts["heat_forms"]
-    problem = this.mechanical_path.problem if this.mechanical_path else None
+    problem = this.mechanics.problem if this.mechanics else None
     return Bill(this.sizes(), systems, sorted(laws), **counts, problem=problem)
 
 

@@ -21,7 +21,7 @@ if __name__ == "__main__":
     for settings in ({}, nested_stem.ALWAYS):
         with patch.multiple(models, **settings) if settings else nullcontext():
             model, steps = nested_stem.go()
-        j = model.mechanical_path.problem.contact
+        j = model.mechanics.problem.contact
         of_rank = np.hstack([j.state.jump, j.state.force])
         starts.append((j.gather(of_rank), steps[0].outcome.residuals[0]))
     (cold, first), (warm, then) = starts

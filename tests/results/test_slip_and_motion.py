@@ -220,6 +220,6 @@ def test_interface_pressure_by_facets(normal_error: float, decides: bool) -> Non
     if decides:
         here = contact.local.interface == 0
         pressed = (
-            contact.law.local_stiffness * np.linalg.norm(contact.state.slip, axis=1) * normal_error
+            contact.laws.local_stiffness * np.linalg.norm(contact.state.slip, axis=1) * normal_error
         )
         assert numbers["pressure_by_facets"] == pytest.approx(pressed[here].max(), rel=1e-6)

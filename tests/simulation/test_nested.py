@@ -46,7 +46,7 @@ def always(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def states(model: Model) -> Any:
     """Jumps and forces of the last step, each over its largest (2, n, 3)."""
-    j = model.mechanical_path.problem.contact
+    j = model.mechanics.problem.contact
     return np.array([v / np.abs(v).max() for v in (j.state.jump, j.state.force)])
 
 
@@ -73,7 +73,7 @@ def test_predictors_reject_a_wrong_extrapolation() -> None:
     straight, _ = go("stages.0.increments=1")
     turned, steps = go(*turn)
     assert len(steps) == 2
-    jump, expected = (m.mechanical_path.problem.contact.state.jump for m in (turned, straight))
+    jump, expected = (m.mechanics.problem.contact.state.jump for m in (turned, straight))
     assert 0 < support.difference(jump, expected) < 0.2
 
 
@@ -106,7 +106,7 @@ def test_coarse_start_is_reused_by_the_companion(monkeypatch: pytest.MonkeyPatch
     model, _ = go()
     companion = support.case(STEM, "mesh.size=5 mm", "mesh.far_size=5 mm", "stages.0.increments=1")
     coarse = next(m for m in model._other_models if m.case.mesh.size == 5.0)
-    m = coarse.mechanical_path
+    m = coarse.mechanics
     solves: list[NewtonResult] = []
 
     def noted(solver: Solver) -> NewtonResult:
@@ -133,10 +133,10 @@ def test_coarse_start_only_for_large_models_with_contact(monkeypatch: pytest.Mon
     tied, small = (
         Model(support.case(STEM, *o), MPI.COMM_WORLD, {}, Timing(), str) for o in ((bonded,), ())
     )
-    assert len(small._predictors(small.mechanical_path)) == 1
+    assert len(small._predictors(small.mechanics)) == 1
     always(monkeypatch)
-    assert len(small._predictors(small.mechanical_path)) == 2
-    assert len(tied._predictors(tied.mechanical_path)) == 1
+    assert len(small._predictors(small.mechanics)) == 2
+    assert len(tied._predictors(tied.mechanics)) == 1
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,7 @@ def test_coupled_system_taylor_remainder_is_of_second_order(
 ) -> None:
     """Of every block, off a solution with points that are open, stick and slip."""
     c = coupled.solve(monkeypatch, *overrides)
-    solver, problem = c.solver, c.model.mechanical_path.problem
+    solver, problem = c.solver, c.model.mechanics.problem
     operators, j = c.model.thermal.operators, problem.contact
     held = [
         operators.fixed.base_condition >= 0,
@@ -71,7 +71,7 @@ def test_coupled_system_taylor_remainder_is_of_second_order(
     x, J = solver.x, solver.snes.getJacobian()[0]
     # Off the last state, which is its history: nothing slips there.
     x.axpy(3.0, some(*free))
-    assert set(map(int, problem.trial(*solver.u_and_q()).law.status)) == {OPEN, STICK, SLIP}
+    assert set(map(int, problem.trial(*solver.u_and_q()).forces.status)) == {OPEN, STICK, SLIP}
     base, moved, linear, there = (solver.vector() for _ in range(4))
     solver.snes.computeFunction(x, base)
     solver.snes.computeJacobian(x, J)
@@ -167,7 +167,7 @@ def test_coupled_system_friction_heat_of_growing_force_and_slip(
     counts, heats = (1, 2, 4, 8), []
     for n in counts:
         c = together(monkeypatch, n, f"time.method={method}")
-        j = c.model.mechanical_path.problem.contact
+        j = c.model.mechanics.problem.contact
         h = j.state
         whole = float(j.local.weight @ np.einsum("pi,pi->p", h.friction, h.jump))
         heats.append(sum(step.heats["friction lower_upper"] for step in c.steps))
@@ -184,7 +184,7 @@ def test_coupled_system_penalty_stretch_is_no_heat(
     law = PENALTY.replace("friction_coefficient: 0.3", "friction_coefficient: 5")
     little = "supports.slide={kind: displacement, boundary: top, x: 0.003 mm, y: 0 mm}"
     c = together(monkeypatch, 2, f"time.method={method}", law, little)
-    j = c.model.mechanical_path.problem.contact
+    j = c.model.mechanics.problem.contact
     h = j.state
     assert float(j.local.weight @ np.einsum("pi,pi->p", h.friction, h.jump)) > 1e-3
     assert c.dissipated == (0.0, 0.0)
@@ -233,7 +233,7 @@ def test_coupled_system_cured_cement_equals_an_elastic_solid(
         "gel: 0.5, shrinkage: 0}"
     )
     runs = [coupled.solve(monkeypatch, *one_sided, *change) for change in ((), (cement,))]
-    solid, hardened = (run.model.mechanical_path.solver.blocks_by_name() for run in runs)
+    solid, hardened = (run.model.mechanics.solver.blocks_by_name() for run in runs)
     for name in MOTION:
         size = np.abs(solid[name].array).max()
         assert np.abs(solid[name].array - hardened[name].array).max() <= 1e-4 * size, name
@@ -253,7 +253,7 @@ def test_coupled_system_setting_cement_is_one_step_behind(monkeypatch: pytest.Mo
     for n in counts:
         changes = (cement, f"stages.1.increments={n}", "time.mechanical_step=1000 K")
         c = coupled.solve(monkeypatch, *changes)
-        kept = c.model.mechanical_path.solver.blocks_by_name()["displacement"].array
+        kept = c.model.mechanics.solver.blocks_by_name()["displacement"].array
         seen = c.solver.blocks_by_name()["displacement"].array
         motion.append(float(np.abs(seen - kept).max() / np.abs(kept).max()))
         dissipated = c.dissipated[-1] - c.before

@@ -61,7 +61,7 @@ class PointForces:
         force: Interface force per area (n, 3) [MPa].
         by_multiplier: Generalized derivative of the force by the multiplier (n, 3, 3) [-].
         by_jump: Generalized derivative of the force by the jump (n, 3, 3) [MPa/mm].
-        stiffness: Stiffness of the trial force (n,) [MPa/mm].
+        augmentation: Augmentation r, the stiffness of the trial force (n,) [MPa/mm].
         pressures: Pressure on each face, positive in compression (n, 3) [MPa].
         status: OPEN, STICK or SLIP (n,).
         internal_variables: New values of the internal variables of the laws, by name: (n, ...).
@@ -73,7 +73,7 @@ class PointForces:
     force: Floats
     by_multiplier: Floats
     by_jump: Floats
-    stiffness: Floats
+    augmentation: Floats
     pressures: Floats
     status: Ints
     internal_variables: Mapping[str, Floats]
@@ -81,14 +81,14 @@ class PointForces:
     outputs: Mapping[str, Floats]
 
     @classmethod
-    def zeros(cls, stiffness: Floats, internal_variables: Mapping[str, Floats]) -> PointForces:
-        """Return no forces at points of a stiffness (n,) [MPa/mm], with the variables unchanged."""
-        n = len(stiffness)
+    def zeros(cls, augmentation: Floats, internal_variables: Mapping[str, Floats]) -> PointForces:
+        """Return no forces at points of an augmentation (n,) [MPa/mm]; variables are unchanged."""
+        n = len(augmentation)
         return cls(
             force=np.zeros((n, 3)),
             by_multiplier=np.zeros((n, 3, 3)),
             by_jump=np.zeros((n, 3, 3)),
-            stiffness=stiffness,
+            augmentation=augmentation,
             pressures=np.zeros((n, 3)),
             status=np.zeros(n, dtype=np.int64),
             internal_variables={name: values.copy() for name, values in internal_variables.items()},
@@ -99,7 +99,7 @@ class PointForces:
     @property
     def traction_stiffness(self) -> Floats:
         """Stiffness of the traction alone: `by_jump` - r `by_multiplier` (n, 3, 3) [MPa/mm]."""
-        return self.by_jump - self.stiffness[:, None, None] * self.by_multiplier
+        return self.by_jump - self.augmentation[:, None, None] * self.by_multiplier
 
     @property
     def resisted(self) -> Floats:
@@ -108,7 +108,7 @@ class PointForces:
         It is `by_multiplier` + k / (k + r), with k the positive principal values of
         `traction_stiffness`.
         """
-        K, r = self.traction_stiffness, self.stiffness[:, None]
+        K, r = self.traction_stiffness, self.augmentation[:, None]
         sizes, axes = np.linalg.eigh((K + K.transpose(0, 2, 1)) / 2)
         shares = np.maximum(sizes, 0.0) / (np.abs(sizes) + r)
         return self.by_multiplier + (axes * shares[:, None, :]) @ axes.transpose(0, 2, 1)
@@ -131,7 +131,7 @@ class CompiledGroup:
     debonded_kernel: Pointwise | None
 
 
-class PointLaw:
+class PointLaws:
     """Laws of the interfaces at the contact points of this rank, during one run.
 
     Attributes:
@@ -144,8 +144,8 @@ class PointLaw:
         opened: Mask of points whose contact a remedy switches off (n,). Layers and cohesion still
             act.
         local_stiffness: Stiffness k per area against the jump of each point (n,) [MPa/mm].
-        default_stiffness: Default augmentation (n,) [MPa/mm].
-        stiffness: Current augmentation r, the stiffness of the trial force (n,) [MPa/mm].
+        default_augmentation: Default augmentation (n,) [MPa/mm].
+        augmentation: Augmentation r, the stiffness of the trial force (n,) [MPa/mm].
         compliance: Compliance C of the elastic layer in series (n, 3, 3) [mm/MPa]; 0 without one.
         layer_share: (1 + k C)^-1: stiffness of the layer over the sum of its and the bodies'
             (n, 3, 3) [-].
@@ -245,7 +245,7 @@ class PointLaw:
     # Stiffness of the trial force
 
     def update_stiffness(self, stiffness: Floats) -> None:
-        """Set the default stiffness of the trial force.
+        """Set the default augmentation.
 
         By default it is a factor times the local stiffness per area in its softest direction: it
         follows materials, cure, mesh and order.
@@ -256,27 +256,31 @@ class PointLaw:
         self.local_stiffness = np.linalg.eigvalsh(stiffness)[:, 0] / self._points.weight
         softer = self.local_stiffness[:, None, None] * self.compliance
         self.layer_share = np.linalg.inv(np.eye(3) + softer)
-        self.default_stiffness = self._layer_stiffness.copy()
+        self.default_augmentation = self._layer_stiffness.copy()
         for law, at_points in self._laws:
             # An r above the layer's stiffness would make `multiplier_share` negative.
             r = law.augmentation_of(self.local_stiffness[at_points], self._factor)
-            self.default_stiffness[at_points] = np.minimum(r, self._layer_stiffness[at_points])
+            self.default_augmentation[at_points] = np.minimum(r, self._layer_stiffness[at_points])
         self.scale_augmentation(self._augmentation_scale)
 
-    def freeze(self, active: bool) -> bool:
-        """Freeze the internal variables, or let them change; return True if there are any."""
-        self.frozen = active and bool(self.internal_variables)
-        return bool(self.internal_variables)
+    def freeze(self) -> bool:
+        """Freeze the internal variables; return True if there are any."""
+        self.frozen = bool(self.internal_variables)
+        return self.frozen
+
+    def unfreeze(self) -> None:
+        """Let the internal variables change."""
+        self.frozen = False
 
     def scale_augmentation(self, factor: float) -> None:
         """Multiply the default augmentation by a factor, until the next call."""
         self._augmentation_scale = factor
-        self.stiffness = factor * self.default_stiffness
-        layers = self.stiffness[:, None, None] * self.compliance
+        self.augmentation = factor * self.default_augmentation
+        layers = self.augmentation[:, None, None] * self.compliance
         self.multiplier_share = np.eye(3) - layers
 
-    def limit_friction(self, active: bool) -> bool:
-        """Limit friction by given pressures, zero at first, or by those of the state; collective.
+    def limit_friction(self) -> bool:
+        """Limit friction by given pressures, zero at first; collective.
 
         With given pressures the problem is that of Tresca: it is convex, and has one solution.
         Friction of the debonded area of a cohesive law stays as it is.
@@ -284,11 +288,15 @@ class PointLaw:
         Returns:
             True if there is contact with friction.
         """
-        local = bool((self.frictional & self.slides).any())
-        has_friction = bool(self._comm.allreduce(local, MPI.LOR))
-        is_given = active and has_friction
-        self.limiting_force = np.zeros((len(self._points), 3)) if is_given else None
+        has_local_friction = bool((self.frictional & self.slides).any())
+        has_friction = bool(self._comm.allreduce(has_local_friction, MPI.LOR))
+        if has_friction:
+            self.limiting_force = np.zeros((len(self._points), 3))
         return has_friction
+
+    def release_friction(self) -> None:
+        """Limit friction by the pressures of the state."""
+        self.limiting_force = None
 
     def relax_limits(self, share: float) -> float:
         """Move the given pressures by a share towards those of the last state; collective.
@@ -313,22 +321,22 @@ class PointLaw:
         """
         has_augmentation = np.array([law.has_augmentation for law, _ in self._laws])
         is_augmented = has_augmentation[self._points.interface]
-        default_stiffness = np.minimum(
+        default_augmentation = np.minimum(
             DEFAULT_AUGMENTATION * self.local_stiffness, self._layer_stiffness
         )[is_augmented]
-        is_default = np.array_equal(default_stiffness, self.default_stiffness[is_augmented])
+        is_default = np.array_equal(default_augmentation, self.default_augmentation[is_augmented])
         if self._comm.allreduce(is_default, MPI.LAND):
             return 1.0
-        logs = float(np.log(default_stiffness / self.default_stiffness[is_augmented]).sum())
+        logs = float(np.log(default_augmentation / self.default_augmentation[is_augmented]).sum())
         total, count = self._comm.allreduce(np.array([logs, is_augmented.sum()]), MPI.SUM)
         return float(np.exp(total / count)) if count else 1.0
 
-    def augmentation(self) -> dict[int, float]:
+    def largest_augmentation(self) -> dict[int, float]:
         """Augmentation of each interface that can open [MPa/mm]; collective."""
         values = {}
         for i, (law, at_points) in enumerate(self._laws):
             if law.can_open:
-                local = float(self.stiffness[at_points].max(initial=0.0))
+                local = float(self.augmentation[at_points].max(initial=0.0))
                 values[i] = float(self._comm.allreduce(local, MPI.MAX))
         return values
 
@@ -338,7 +346,7 @@ class PointLaw:
         self, force: Floats, jump: Floats, gap: Floats, state: ContactState
     ) -> PointForces:
         """Evaluate the laws at a trial state: multiplier (n, 3) [MPa], jump and gap (n, 3) [mm]."""
-        points, n, r = self._points, len(self._points), self.stiffness
+        points, n, r = self._points, len(self._points), self.augmentation
         inputs = {
             "force": points.acting(force),
             "jump": points.acting(jump),
@@ -562,10 +570,12 @@ class PointLaw:
         """Replace the response of constrained points by stick, in place."""
         points, constrained = self._points, self.constrained
         slip_old = points.tangential(jump_old, np.ones((len(points), 3), dtype=bool))
-        trial = force + self.stiffness[:, None] * (opening - slip_old)
+        trial = force + self.augmentation[:, None] * (opening - slip_old)
         point_forces.force[constrained] = points.project_free(trial)[constrained]
         point_forces.by_multiplier[constrained] = np.eye(3)
-        point_forces.by_jump[constrained] = (self.stiffness[:, None, None] * np.eye(3))[constrained]
+        point_forces.by_jump[constrained] = (self.augmentation[:, None, None] * np.eye(3))[
+            constrained
+        ]
         point_forces.status[constrained] = STICK
 
 
