@@ -32,8 +32,8 @@ from app.foundation.errors import StoppedError as StoppedError
 from app.foundation.errors import UnusableError as UnusableError
 from app.laws.interface_laws import Frictional as Frictional
 from app.laws.interface_laws import InterfaceLaw as InterfaceLaw
-from app.laws.interface_laws import Traction as Traction
 from app.laws.loads import Load as Load
+from app.laws.traction_laws import Traction as Traction
 
 if __name__ == "__main__":
     from app.cli import main

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from app.laws.interface_laws import Coulomb, InterfaceLaw
+from app.laws.contact_laws import Coulomb
+from app.laws.interface_laws import InterfaceLaw
 from app.schema.section import add_key
 from app.schema.units import Dimension
 

@@ -32,6 +32,7 @@ from app.case.run_options import OutputOptions, SolverOptions, Stage, TimeOption
 from app.case.shapes import Point3
 from app.case.variations import Variations, expand, title_with_changes
 from app.foundation.errors import InputError
+from app.laws import contact_laws, traction_laws  # noqa: F401  (registers kinds of interfaces)
 from app.laws.heat_conditions import HeatCondition
 from app.laws.interface_laws import Bonded, Interface
 from app.laws.loads import AnyLoad

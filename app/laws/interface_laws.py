@@ -1,13 +1,14 @@
-"""Constitutive laws of interfaces, and their keys in a case.
+"""Base of the constitutive laws of interfaces, bonded interfaces, and friction.
 
 A law is a section of the case. Its class has the keys, the properties (for example `can_open`), the
-augmentation and the formula in UFL.
+augmentation and the formula in UFL. `contact_laws` has the laws of contact, `traction_laws` those
+whose force is a function of the gap.
 
-The path of `friction_coefficient` from the YAML file to the residual. To change the number or where
-it varies, edit the first two steps, here; to change the formula, edit `forms.contact`. The steps
-between pass every constant of a law on by its name:
+The path of `friction_coefficient` from the YAML file to the residual. To change the number, edit
+the first step, here; to change where it varies, the second, in `contact_laws`; to change the
+formula, edit `forms.contact`. The steps between pass every constant of a law on by its name:
 
-    Frictional.friction_coefficient, SurfaceZone   the key, also of a zone: a number
+    Frictional.friction_coefficient                the key, also of a `SurfaceZone`: a number
     Unilateral.constants_at_points                 {"μ": f}, f: points (n, 3) -> numbers (n,)
     scene.scene.Interface.constants                this mapping, kept with the interface
     mechanics.contact.ContactInterfaces.begin      {"μ": f(x)} at the contact points x of a rank
@@ -17,7 +18,7 @@ between pass every constant of a law on by its name:
     mechanics.point_laws.PointLaws.evaluate        runs the compiled law: forces (n, 3) [MPa]
     mechanics.contact.ContactInterfaces.residual   e + W P: forces of the bodies and of the law [N]
 
-The debonded area of a cohesive interface has a contact law, `Traction.debonded_contact`, whose
+The debonded area of a cohesive interface has a law of contact, `Traction.debonded_contact`, whose
 coefficient takes the same path; `PointLaws` multiplies it by the debonded share.
 
 To add a law, derive from `Traction` (a force that is a function of the gap) or from `InterfaceLaw`.
@@ -28,7 +29,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Hashable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
@@ -36,29 +37,18 @@ from pydantic import model_validator
 
 from app.laws.thermal import Conductance, FrictionHeating, PressureConductance
 from app.laws.values import (
-    INTERFERENCE,
-    FractureEnergyField,
     InterferenceField,
     LengthField,
-    LoadHistory,
     Patches,
-    ShareField,
-    Source,
     StemPlaces,
-    StiffnessField,
-    StrengthField,
-    Table,
     field,
     gap_settled,
-    in_zone,
 )
 from app.schema.expressions import Varying
-from app.schema.section import MAPPING, Extensible, Kinds, Name, Pair, Section, Text, fail
+from app.schema.section import Extensible, Kinds, Section, fail
 from app.schema.units import (
     Length,
-    MixingExponent,
     NonNegativeNumber,
-    PositiveStiffness,
     PositiveStress,
 )
 
@@ -67,7 +57,6 @@ if TYPE_CHECKING:
     from ufl.core.expr import Expr
 
     from app.foundation.arrays import Field, Floats
-    from forms.cohesion import CohesiveState
     from forms.contact import Faces, Response
 
 # Points per facet of mortar rows where `quadrature` is not given.
@@ -318,7 +307,7 @@ class InterfaceLaw(Extensible):
         return not self.is_contact
 
     @property
-    def debonded_contact(self) -> Coulomb | None:
+    def debonded_contact(self) -> InterfaceLaw | None:
         """Contact law of the debonded area; None if the law has none."""
         return None
 
@@ -474,505 +463,6 @@ class SurfaceZone(Section):
         """Heights at which it begins and ends [mm]; infinite where none is given."""
         lower_height = -math.inf if self.above is None else self.above
         return lower_height, math.inf if self.below is None else self.below
-
-
-def _interference(key: str, value: float | str | Table, stem: StemPlaces, x: Floats) -> Floats:
-    """Interference of a key at points (n, 3): shape (n,) [mm]; 0 outside the flanks of a stem."""
-    if isinstance(value, tuple):
-        heights, lengths = zip(*value, strict=True)
-        interference = np.interp(stem.height_on_stem(x), heights, lengths)
-    else:
-        interference = field(key, value, INTERFERENCE)(x)
-    return np.where(stem.on_flanks(x), interference, 0.0)
-
-
-class Unilateral(Frictional):
-    """Unilateral contact with Coulomb friction: exact, or with a penalty (`forms.contact`)."""
-
-    can_open: ClassVar[bool] = True
-    has_augmentation: ClassVar[bool] = True
-    is_contact: ClassVar[bool] = True
-
-    gap: LengthField = 0.0
-    """Initial gap: a clearance if positive, an interference (press fit) if negative."""
-    interference: InterferenceField | None = None
-    """Radial interference of a press fit: half of the diametral one. A length, an expression, or
-    pairs of height above the stem's tip and length, linear in between. It acts on the flanks of a
-    stem, not on its end, and grows during the first stage. In place of `gap`."""
-    zones: Annotated[dict[Name, SurfaceZone], MAPPING] | None = None
-    """Parts of a stem's surface with different friction or interference, such as a coating. Where
-    two overlap, the later one counts."""
-    gap_history: LoadHistory = None
-    """Multiplier of the gap at the end of each stage, from 0. By default a clearance is constant,
-    and an interference grows during the first stage."""
-    friction_heating: FrictionHeating | None = None
-    """Part of the friction heat that enters the first side; by default friction heats no side."""
-
-    @model_validator(mode="after")
-    def _check_one_gap(self) -> Unilateral:
-        if self.interference is not None and self.gap != 0.0:
-            fail("is the opposite of `gap`; expected only one of them", at=("interference",))
-        return self
-
-    @model_validator(mode="after")
-    def _check_friction_heating(self) -> Unilateral:
-        if self.friction_heating is not None and self.friction == 0.0:
-            fail(
-                "needs friction; expected a friction_coefficient above 0", at=("friction_heating",)
-            )
-        return self
-
-    @property
-    def surface_zones(self) -> Mapping[str, SurfaceZone]:
-        """The key `zones`."""
-        return self.zones or {}
-
-    @property
-    def heated_by_friction(self) -> FrictionHeating | None:
-        """The key `friction_heating`."""
-        return self.friction_heating
-
-    @property
-    def friction(self) -> float:
-        """The largest `friction_coefficient` of the interface and its zones."""
-        zones = [zone.friction_coefficient for zone in self.surface_zones.values()]
-        return max([self.friction_coefficient, *(μ for μ in zones if μ is not None)])
-
-    @property
-    def has_gap(self) -> bool:
-        """True if a key gives a gap or an interference."""
-        surfaces: list[Unilateral | SurfaceZone] = [self, *self.surface_zones.values()]
-        return any(surface.gap or surface.interference for surface in surfaces)
-
-    @property
-    def is_press_fit(self) -> bool:
-        """True if `interference` is given, of the interface or of a zone."""
-        surfaces: list[Unilateral | SurfaceZone] = [self, *self.surface_zones.values()]
-        return any(surface.interference is not None for surface in surfaces)
-
-    @property
-    def interferes(self) -> bool:
-        """True if an interference or a negative gap is given, of the interface or of a zone."""
-        surfaces: list[Unilateral | SurfaceZone] = [self, *self.surface_zones.values()]
-        return self.is_press_fit or any(
-            isinstance(surface.gap, float) and surface.gap < 0.0 for surface in surfaces
-        )
-
-    @property
-    def gap_multipliers(self) -> tuple[float, ...] | None:
-        """The key `gap_history`."""
-        return self.gap_history
-
-    @property
-    def without_effect(self) -> dict[tuple[str, ...], str]:
-        """Reasons why given keys have no effect, by path."""
-        reasons = super().without_effect
-        if not self.has_gap:
-            reasons[("gap_history",)] = "there is no gap and no interference"
-        zones = list(self.surface_zones.items())
-
-        def later_zone_that_hides(number: int, key: str) -> str | None:
-            for later_name, later_zone in zones[number + 1 :]:
-                if later_zone.hides(zones[number][1], key):
-                    return later_name
-            return None
-
-        for number, (name, _) in enumerate(zones):
-            for key in SurfaceZone.KEYS:
-                later_name = later_zone_that_hides(number, key)
-                if later_name is not None:
-                    reasons["zones", name, key] = (
-                        f"zone {later_name} counts there, as the later one"
-                    )
-        return reasons
-
-    @property
-    def zone_heights(self) -> Mapping[str, tuple[float, float]]:
-        """Heights of the zones on the stem [mm]."""
-        return {name: zone.heights for name, zone in self.surface_zones.items()}
-
-    @property
-    def table_heights(self) -> Mapping[tuple[str, ...], tuple[float, ...]]:
-        """Heights in the tables of the interface and of its zones [mm]."""
-        surfaces: dict[tuple[str, ...], Unilateral | SurfaceZone] = {(): self}
-        surfaces |= {("zones", name): zone for name, zone in self.surface_zones.items()}
-        return {
-            (*path, "interference"): tuple(height for height, _ in surface.interference)
-            for path, surface in surfaces.items()
-            if isinstance(surface.interference, tuple)
-        }
-
-    def gap_field(self, interface: str, stem: StemPlaces) -> Field:
-        """Initial gap at points (n, 3), negative for an interference: shape (n,) [mm]."""
-        key = f"interfaces.{interface}"
-
-        def gap_of(part: Unilateral | SurfaceZone, key: str, x: Floats) -> Floats | None:
-            """The gap of a part; None if none is given for it."""
-            if part.interference is not None:
-                return -_interference(f"{key}.interference", part.interference, stem, x)
-            return None if part.gap is None else field(f"{key}.gap", part.gap)(x)
-
-        def gap(x: Floats) -> Floats:
-            gaps = gap_of(self, key, x)
-            assert gaps is not None  # its default is 0
-            for name, zone in self.surface_zones.items():
-                inside = in_zone(*zone.heights, stem.height_on_stem(x))
-                zone_gap = gap_of(zone, f"{key}.zones.{name}", x[inside])
-                if zone_gap is not None:
-                    gaps[inside] = zone_gap
-            return gaps
-
-        return gap
-
-    def constants_at_points(self, interface: str, stem: StemPlaces) -> dict[str, Field]:
-        """Friction coefficient as function of points, under the name μ of the form; none if 0."""
-        if self.friction == 0.0:
-            return {}
-
-        def friction(x: Floats) -> Floats:
-            coefficients = np.full(len(x), self.friction_coefficient)
-            for zone in self.surface_zones.values():
-                if zone.friction_coefficient is not None:
-                    inside = in_zone(*zone.heights, stem.height_on_stem(x))
-                    coefficients[inside] = zone.friction_coefficient
-            return coefficients
-
-        return {"μ": friction}
-
-    @property
-    def form(self) -> Hashable:
-        """Contact, with or without friction."""
-        return "contact", self.friction > 0
-
-    @property
-    def constants(self) -> Mapping[str, float | str]:
-        """The friction coefficient, under the name μ of the form; none if it is 0."""
-        return {"μ": self.friction} if self.friction > 0 else {}
-
-    def response(self, point: AtPoint) -> Response:
-        """Law of the augmented Lagrangian at a point (eq. 65)."""
-        from forms.contact import contact_law
-
-        return contact_law(
-            F=point.F,
-            jump=point.jump,
-            gap=point.initial_gap,
-            jump_old=point.jump_old,
-            S_star=point.S_star,
-            normals=point.normals,
-            μ=point.constants.get("μ"),
-            r=point.r,
-        )
-
-
-class ElasticLayer(Section):
-    """An elastic layer in series with contact, by its stiffnesses."""
-
-    normal: PositiveStiffness | None = None
-    """Pressure per compression of the layer; rigid by default."""
-    tangential: PositiveStiffness
-    """Shear stress per shear displacement of the layer."""
-
-
-class Coulomb(Unilateral):
-    """Unilateral contact with Coulomb friction, exactly: augmented Lagrangian."""
-
-    kind: Literal["contact"] = "contact"
-    elastic_layer: ElasticLayer | None = None
-    """Elastic layer in series with contact; none by default. Slip excludes its elastic part."""
-    sliding: Literal["small", "finite"] = "small"
-    """Small sliding: less than a facet. Finite sliding: any distance, for bodies with separate
-    meshes."""
-    between: Annotated[tuple[Name, Name], Pair("[head_surface, liner_inner]")] | None = None
-    """Boundaries of the first and the second side that slide on each other, if `sliding` is finite;
-    by default those of the geometry."""
-    quadrature: Literal[12, 48, 192] | None = None
-    """Points per facet that transfer forces from an elastic side to the other, if `sliding` is
-    finite. The default 12 is enough if the softer side has the finer mesh."""
-    augmentation: PositiveStiffness | None = None
-    """Augmentation parameter r; by default it is chosen. Results do not depend on it."""
-
-    @model_validator(mode="after")
-    def _check_sliding_keys(self) -> Coulomb:
-        finite = self.sliding == "finite"
-        for key in FINITE_SLIDING_KEYS:
-            if getattr(self, key) is not None and not finite:
-                fail("needs `sliding: finite` in the same interface", at=(key,))
-        if self.elastic_layer is not None and finite:
-            fail(f"contact with an elastic layer {SMALL_SLIDING_ONLY}", at=("elastic_layer",))
-        return self
-
-    @property
-    def finite_sliding(self) -> bool:
-        """True if the key `sliding` is finite."""
-        return self.sliding == "finite"
-
-    @property
-    def mortar_points(self) -> int:
-        """The key `quadrature`, or its default."""
-        return self.quadrature or MORTAR_POINTS
-
-    @property
-    def sliding_boundaries(self) -> tuple[str, str] | None:
-        """The key `between`."""
-        return self.between
-
-    @property
-    def layer(self) -> tuple[float, float] | None:
-        """The stiffnesses of `elastic_layer`."""
-        if self.elastic_layer is None:
-            return None
-        normal = self.elastic_layer.normal
-        return math.inf if normal is None else normal, self.elastic_layer.tangential
-
-    @property
-    def compresses(self) -> bool:
-        """True if `elastic_layer` has a normal stiffness."""
-        return self.elastic_layer is not None and self.elastic_layer.normal is not None
-
-    def augmentation_of(self, local_stiffness: Floats, factor: float) -> Floats | float:
-        """The given augmentation, or the default."""
-        if self.augmentation is not None:
-            return self.augmentation
-        return factor * local_stiffness
-
-
-class Penalty(Unilateral):
-    """Contact through an elastic layer of equal normal and tangential stiffness; it penetrates."""
-
-    kind: Literal["penalty"] = "penalty"
-    penalty: PositiveStiffness
-    """Pressure per penetration."""
-
-    @property
-    def layer(self) -> tuple[float, float]:
-        """Normal and tangential stiffness: both the penalty [MPa/mm]."""
-        return self.penalty, self.penalty
-
-
-class Traction(InterfaceLaw):
-    """Base of laws whose force is an explicit function of the gap, such as layers and cohesion.
-
-    A subclass declares its keys. In its methods the keys are UFL scalars, and the argument is the
-    state of the point at a gap. `traction` is required. Inside the program a subclass is in this
-    module and its formula in a module of `forms`; no other file changes.
-
-    `response` calls the methods once for each compiled form and differentiates their results. With
-    the traction T and the debonded share s, the force of a point with multiplier F and jump D is T
-    where s is 0 or None, else
-
-    .. math:: T + P(F - T + r D),
-
-    with P the response of contact without cohesion and the friction coefficient s μ, its work
-    counted as friction (`mechanics.point_laws.PointLaws.evaluate`). `new_internal_variables` are
-    committed with a converged step. The other results are numbers and fields of the run alone, but
-    `dissipated` also sets the steps of a stage with `fracture_step`.
-    """
-
-    def traction(self, point: GapState) -> Expr:
-        """Force per area that resists a gap (3,) [MPa]."""
-        raise NotImplementedError
-
-    def new_internal_variables(self, point: GapState) -> Mapping[str, Expr]:
-        """Internal variables at a gap, by name, from those of the last converged state."""
-        return {}
-
-    def debonded_share(self, point: GapState) -> Expr | None:
-        """Debonded share of the area, on which contact also acts [-]; none by default.
-
-        The friction coefficient is multiplied by this share. The law then also derives from
-        `Frictional`.
-        """
-        return None
-
-    def stored(self, point: GapState) -> Expr | None:
-        """Stored energy per area [N/mm]; none by default."""
-        return None
-
-    def dissipated(self, point: GapState) -> Expr | None:
-        """Energy per area that a step dissipates, without friction [N/mm]; none by default.
-
-        If the case gives `fracture_step`, load steps control this energy.
-        """
-        return None
-
-    def slip(self, point: GapState) -> Expr | None:
-        """Slip (3,) [mm], as in `forms.contact.Response`; none by default."""
-        return None
-
-    def status(self, point: GapState) -> Expr:
-        """State of a point: OPEN, STICK or SLIP of `forms.contact`, or another number from 3 on.
-
-        The default is STICK.
-        """
-        from ufl import as_ufl
-
-        from forms.contact import STICK
-
-        return STICK * as_ufl(1.0)
-
-    @property
-    def debonded_contact(self) -> Coulomb | None:
-        """Contact law of the debonded area, if the subclass defines `debonded_share`."""
-        if type(self).debonded_share is Traction.debonded_share:
-            return None
-        return Coulomb(friction_coefficient=self.friction)
-
-    def constants_at_points(self, interface: str, stem: StemPlaces) -> dict[str, Field]:
-        """Functions of points (n, 3) that return the constants there (n,), by name.
-
-        Those of the debonded contact are among them.
-        """
-        constants = super().constants_at_points(interface, stem)
-        if self.debonded_contact is not None:
-            constants |= self.debonded_contact.constants_at_points(interface, stem)
-        return constants
-
-    @property
-    def dissipates(self) -> bool:
-        """True if the subclass defines `dissipated`."""
-        return type(self).dissipated is not Traction.dissipated
-
-    def response(self, point: AtPoint) -> Response:
-        """Force, stored and dissipated energy, and their derivatives, in UFL."""
-        from ufl import as_ufl, as_vector, variable
-
-        from forms.contact import Response, derivative
-
-        # A copy of the law in which each key is its UFL constant.
-        law = self.model_copy(update=dict(point.constants))
-        jump = variable(point.jump)
-        committed = GapState(
-            gap_vector=jump + point.initial_gap,
-            normals=point.normals,
-            internal_variables=point.internal_variables,
-            committed=point.internal_variables,
-            frozen=point.frozen,
-        )
-        internal_variables = point.updated(law.new_internal_variables(committed))
-        state = replace(committed, internal_variables=internal_variables)
-        force = law.traction(state)
-        dissipated = law.dissipated(state)
-        debonded_share = law.debonded_share(state)
-        return Response(
-            force=force,
-            by_multiplier=None,
-            by_jump=derivative(force, jump),
-            pressures=as_vector([-p for p in point.normals.components(force)]),
-            status=as_ufl(law.status(state)),
-            internal_variables=internal_variables,
-            slip=law.slip(state),
-            stored=law.stored(state),
-            dissipated=dissipated,
-            dissipated_by_jump=None if dissipated is None else derivative(dissipated, jump),
-            debonded_share=debonded_share,
-            debonded_share_by_jump=(
-                None if debonded_share is None else derivative(debonded_share, jump)
-            ),
-        )
-
-
-class Cohesive(Frictional, Traction):
-    """Cohesive interface: it debonds in tension, shear or mixed mode, then slides with friction."""
-
-    can_open: ClassVar[bool] = True
-    has_augmentation: ClassVar[bool] = True
-    internal_variables: ClassVar[Mapping[str, tuple[int, ...]]] = {"damage": (), "spent": ()}
-
-    kind: Literal["cohesive"] = "cohesive"
-    friction_coefficient: NonNegativeNumber
-    """Coulomb's coefficient of the debonded interface; 0 for none."""
-    stiffness: StiffnessField
-    """Cohesive traction per displacement, in tension and shear."""
-    tensile_strength: StrengthField
-    """Strength in tension. No value by finish is known for stem and cement: give it."""
-    shear_strength: StrengthField
-    """Strength in shear."""
-    tensile_energy: FractureEnergyField
-    """Fracture energy per area in tension. No value is known for stem and cement: give it."""
-    shear_energy: FractureEnergyField
-    """Fracture energy per area in shear. No value is known for stem and cement: give it."""
-    mixing_exponent: MixingExponent = 2.0
-    """Exponent of Benzeggagh and Kenane for mixed modes."""
-    softening: Literal["linear", "exponential"] = "linear"
-    """Decrease of the traction with the jump."""
-    unbonded: ShareField = 0.0
-    """Share of the area that is debonded from the start."""
-    finish: Text | None = None
-    """Surface finish of the library (`mantle explain finishes`); other keys override its values."""
-    source: Source = None
-    """Source of the strength."""
-
-    @property
-    def form(self) -> Hashable:
-        """Cohesion by its softening, with or without friction."""
-        return "cohesive", self.softening, self.friction > 0
-
-    def cohesive_state(self, point: GapState) -> CohesiveState:
-        """Cohesive response of a point at a gap.
-
-        Each method below builds it again: UFL finds the common terms, which are compiled once.
-        """
-        from forms.cohesion import Cohesion, cohesive_state
-
-        constants = Cohesion(
-            K=self.stiffness,
-            N=self.tensile_strength,
-            S=self.shear_strength,
-            G_I=self.tensile_energy,
-            G_II=self.shear_energy,
-            η=self.mixing_exponent,
-            unbonded=self.unbonded,
-            exponential=self.softening == "exponential",
-        )
-        return cohesive_state(
-            constants, point.gap_vector, point.normals, point.committed, point.frozen
-        )
-
-    def traction(self, point: GapState) -> Expr:
-        """Cohesive traction (3,) [MPa]."""
-        return self.cohesive_state(point).traction
-
-    def new_internal_variables(self, point: GapState) -> Mapping[str, Expr]:
-        """Damage and dissipated part of the fracture energy [-]."""
-        state = self.cohesive_state(point)
-        return {"damage": state.damage, "spent": state.spent}
-
-    def debonded_share(self, point: GapState) -> Expr:
-        """Debonded share of the area [-]; 0 until the point is damaged."""
-        return self.cohesive_state(point).debonded_share
-
-    def stored(self, point: GapState) -> Expr:
-        """Elastic energy of the cohesion per area [N/mm]."""
-        return self.cohesive_state(point).stored
-
-    def dissipated(self, point: GapState) -> Expr:
-        """Fracture energy per area that the step dissipates [N/mm]."""
-        return self.cohesive_state(point).dissipated_in_step
-
-    @model_validator(mode="after")
-    def _check_softening(self) -> Cohesive:
-        # The same check as at points, for keys that are numbers.
-        numbers = {n: v for n, v in self.constants.items() if not isinstance(v, str)}
-        self.check({name: np.array([v]) for name, v in numbers.items()})
-        return self
-
-    def check(self, values: Mapping[str, Floats]) -> None:
-        """Refuse a stiffness that is too small for softening: K < strength^2 / energy."""
-        for mode in ("tensile", "shear"):
-            names = ("stiffness", f"{mode}_strength", f"{mode}_energy")
-            if not values.keys() >= set(names):
-                continue
-            K, strength, G = (values[name] for name in names)
-            least_stiffness = strength**2 / G
-            too_soft = K < least_stiffness
-            if too_soft.any():
-                k = int(too_soft.argmax())
-                fail(
-                    f"{K[k]:g} MPa/mm is too soft for {mode} strength and energy: "
-                    f"expected at least strength^2 / energy = {least_stiffness[k]:g} MPa/mm",
-                    at=("stiffness",),
-                )
 
 
 Interface = Annotated[InterfaceLaw, Kinds()]

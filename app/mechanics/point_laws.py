@@ -6,7 +6,6 @@ without friction, or without edges, never compiles these laws.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +24,7 @@ from app.mechanics.contact_state import ContactState, LocalPoints
 from app.numerics import pointwise
 from app.numerics.pointwise import Pointwise
 from app.system.timing import Timing
-from forms import cohesion, contact
+from forms import contact
 from forms.contact import OPEN, SLIP, STICK
 
 # Outputs that a law may have, with their shapes (see `forms.contact.Response`).
@@ -48,9 +47,11 @@ REST_TOLERANCE = 1e-11
 FORCE_TOLERANCE = 1e-12
 # Upper bound of such a force over the trial force [-]. It is above the limit of friction.
 UPPER_BOUND = 1e3
-# The modules that define a law, together with the module of its class. If their text changes, the
-# law is compiled again.
-SOURCES = (cohesion, contact, interface_laws, pointwise, sys.modules[__name__])
+# Package of the laws of the program.
+LAWS = interface_laws.__name__.rpartition(".")[0]
+# Folders of its modules and of those with formulas. If the text of one changes, or that of this
+# module or `pointwise`, laws are compiled again.
+SOURCE_FOLDERS = (Path(contact.__file__).parent, Path(interface_laws.__file__).parent)
 
 
 @dataclass(frozen=True)
@@ -651,9 +652,14 @@ def _compile_law(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwis
 
 
 def _cache_file_of(law: InterfaceLaw, key: str) -> Path | None:
-    module = sys.modules[type(law).__module__]
-    has_file = getattr(module, "__file__", None) is not None
-    return pointwise.note_of(key, (*SOURCES, module)) if has_file else None
+    """Return the path of the note of a compiled law.
+
+    A law from outside of the program has none: its formula may be in any file.
+    """
+    if not type(law).__module__.startswith(f"{LAWS}."):
+        return None
+    sources = [file for folder in SOURCE_FOLDERS for file in sorted(folder.glob("*.py"))]
+    return pointwise.note_of(key, [*sources, Path(pointwise.__file__), Path(__file__)])
 
 
 def _compliance(

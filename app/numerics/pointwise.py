@@ -189,19 +189,19 @@ def _components(e: Expr) -> list[Expr]:
     return [e[i] for i in np.ndindex(*e.ufl_shape)] if e.ufl_shape else [e]
 
 
-def note_of(law: str, sources: Sequence[ModuleType]) -> Path | None:
+def note_of(law: str, sources: Sequence[Path]) -> Path | None:
     """Path of the note of a law; None without a cache.
 
     Args:
         law: Key of the law among the laws of the same sources.
-        sources: All modules that define it.
+        sources: All files that define it.
     """
     folder = folders.cache("laws")
     if folder is None:
         return None
     digest = hashlib.sha256(law.encode())
-    for module in sources:
-        digest.update(Path(str(module.__file__)).read_bytes())
+    for file in sources:
+        digest.update(file.read_bytes())
     versions = [m.__version__ for m in (dolfinx, ffcx, ufl)]
     options = {**jit.get_options(), **ffcx.get_options(), "cache_dir": None}
     digest.update(repr([versions, options]).encode())

@@ -14,7 +14,7 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx.mesh import create_box, create_submesh, locate_entities
 
-from app.laws.interface_laws import Coulomb
+from app.laws.contact_laws import Coulomb
 from app.laws.loads import Force
 from app.laws.materials import Isotropic, Rigid
 from app.laws.motions import Motion, Rotation

@@ -14,9 +14,9 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx.mesh import create_box
 
-from app.laws.interface_laws import Cohesive
 from app.laws.materials import Isotropic
 from app.laws.supports import Displacement, Roller
+from app.laws.traction_laws import Cohesive
 from app.results.interface_numbers import ContactSamples
 from app.scene.scene import Stage, scene_of
 from app.stepping.stages import assemble

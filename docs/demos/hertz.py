@@ -15,7 +15,7 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx.mesh import create_box
 
-from app.laws.interface_laws import Coulomb
+from app.laws.contact_laws import Coulomb
 from app.laws.materials import Isotropic
 from app.laws.supports import Displacement, Roller
 from app.results.interface_numbers import ContactSamples

@@ -14,7 +14,7 @@ import numpy as np
 from dolfinx.mesh import create_box
 
 from app.foundation.errors import ConvergenceError
-from app.laws.interface_laws import Coulomb
+from app.laws.contact_laws import Coulomb
 from app.laws.loads import BodyForce
 from app.laws.materials import Isotropic
 from app.laws.supports import Fixed

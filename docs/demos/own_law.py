@@ -14,10 +14,10 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx.mesh import create_box
 
-from app.laws.interface_laws import Traction
 from app.laws.loads import Pressure
 from app.laws.materials import Isotropic
 from app.laws.supports import Fixed
+from app.laws.traction_laws import Traction
 from app.laws.values import StiffnessField
 from app.scene.scene import Stage, scene_of
 from app.stepping.stages import assemble

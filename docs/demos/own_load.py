@@ -16,7 +16,7 @@ import numpy as np
 from dolfinx.mesh import create_box
 from ufl import dot
 
-from app.laws.interface_laws import Coulomb
+from app.laws.contact_laws import Coulomb
 from app.laws.loads import Load, Pressure
 from app.laws.materials import Isotropic
 from app.laws.supports import Fixed

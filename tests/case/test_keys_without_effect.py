@@ -15,7 +15,7 @@ from app.case.case import dump, load
 from app.case.femurs import Femur
 from app.case.geometries import MeshOptions
 from app.case.hips import OperatedHip
-from app.laws.interface_laws import Coulomb
+from app.laws.contact_laws import Coulomb
 from app.patient.geometry import Patient
 from app.soundness import preview
 from tests import support

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from app.foundation.arrays import Floats
-from app.laws.interface_laws import Cohesive
+from app.laws.traction_laws import Cohesive
 from app.mechanics.contact_state import ContactState, LocalPoints
 from app.mechanics.point_laws import PointForces, PointLaws
 from app.system.timing import Timing

@@ -22,7 +22,7 @@ from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.core.expr import Expr
 
 from app.foundation.arrays import Floats
-from app.laws.interface_laws import Coulomb
+from app.laws.contact_laws import Coulomb
 from app.mechanics import point_laws
 from app.mechanics.contact_state import ContactState, LocalPoints
 from app.mechanics.point_laws import PointLaws, gap_vectors

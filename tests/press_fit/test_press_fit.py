@@ -13,7 +13,8 @@ import mantle
 from app.case.case import load
 from app.foundation.errors import InputError
 from app.foundation.verdict import Verdict
-from app.laws.interface_laws import Coulomb, insertion_stages
+from app.laws.contact_laws import Coulomb
+from app.laws.interface_laws import insertion_stages
 from app.laws.values import NoStem, gap_settled
 from app.press_fit.findings import _beyond_yield, _ingrowth, _raised_collar
 from app.results.closing_lines import headline

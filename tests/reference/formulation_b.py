@@ -39,7 +39,7 @@ from app.case.case import Case
 from app.case.geometries import Cylinders
 from app.foundation.arrays import Floats, Ints
 from app.foundation.dolfinx_features import entity_maps, exterior_facets, facet_domain, submesh
-from app.laws.interface_laws import Coulomb
+from app.laws.contact_laws import Coulomb
 from app.laws.loads import BodyForce, Force, Pressure
 from app.laws.materials import Isotropic
 from app.laws.supports import Displacement, Fixed, Roller

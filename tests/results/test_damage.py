@@ -8,7 +8,7 @@ import pytest
 from app.case import library
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
-from app.laws.interface_laws import Cohesive
+from app.laws.traction_laws import Cohesive
 from app.laws.values import Patches
 from app.results.damage import zone
 from tests import support

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from app.foundation.errors import InputError
-from app.laws.interface_laws import Coulomb
+from app.laws.contact_laws import Coulomb
 from app.laws.materials import Isotropic
 from app.scene.scene import Stage, scene_of
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from mpi4py import MPI
@@ -133,10 +132,9 @@ def test_start_compiled_law_is_found_without_building(tmp_path: Path) -> None:
 
 
 def test_start_compiled_law_has_a_new_note_if_changed(tmp_path: Path) -> None:
-    source = ModuleType("source")
-    source.__file__ = str(tmp_path / "source.py")
+    source = tmp_path / "source.py"
     notes = set()
     for text in ("1", "2"):
-        Path(source.__file__).write_text(text)
+        source.write_text(text)
         notes |= {pointwise.note_of(law, [source]) for law in ("plain", "corner")}
     assert len(notes) == 4

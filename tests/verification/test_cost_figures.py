@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from app.case.case import dump, load
-from app.laws.interface_laws import Bonded, Coulomb
+from app.laws.contact_laws import Coulomb
+from app.laws.interface_laws import Bonded
 from app.verification import suite
 from app.verification.cost_figures import INTERFACES, RUNGS
 from app.verification.suite import PlannedProblem
