@@ -54,7 +54,7 @@ def test_augmentation_follows_softened_cement() -> None:
     problem, _ = support.assemble(support.case(STEM))
     j = problem.contact
     j.laws.scale_augmentation(0.1)
-    before = j.laws.stiffness.copy()
+    before = j.laws.augmentation.copy()
     coupling = j.coupling._assemble
 
     def softer(*arguments: object) -> object:
@@ -65,7 +65,7 @@ def test_augmentation_follows_softened_cement() -> None:
 
     j.coupling._assemble = softer  # type: ignore[method-assign,assignment]
     problem._reassemble()
-    np.testing.assert_allclose(j.laws.stiffness, 0.01 * before, rtol=1e-12)
+    np.testing.assert_allclose(j.laws.augmentation, 0.01 * before, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,7 @@ def test_augmentation_does_not_change_a_penalty() -> None:
             h = j.state
             states.append(np.column_stack([h.jump, h.force, h.path, h.dissipation]))
         statuses.append(np.array(states))
-        assert (j.laws.stiffness <= factor * 5e3).all()
+        assert (j.laws.augmentation <= factor * 5e3).all()
     size = np.abs(statuses[0]).max(axis=(0, 1))
     assert (np.abs(statuses[1] - statuses[0]).max(axis=(0, 1)) <= 1e-8 * size).all()
     assert statuses[0][-1, :, -1].sum() > 0
