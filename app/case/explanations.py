@@ -11,6 +11,7 @@ import re
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
+from typing import NamedTuple
 
 import configs
 from app.case import library, quantities
@@ -30,6 +31,8 @@ KEY_UNITS = "Keys of a case. Write any unit, such as 4 mm or 110 GPa; mantle con
 MOST_LINES = 12
 # Letters from which a word also finds longer ones that begin with it.
 SHORT_WORD = 4
+# Words of a phrase that are not looked for.
+WITHOUT_MEANING = {"a", "an", "and", "at", "by", "for", "in", "of", "on", "or", "the", "to", "with"}
 GLOSSARY = configs.FOLDER.parent / "docs" / "glossary.md"
 LOADS = "loads"
 # Terms of the field: the keys, kinds, results and options that they stand for, the first one first.
@@ -50,6 +53,8 @@ WORDS: dict[str, tuple[str, ...]] = {
     "sliding": ("interfaces.sliding", "interfaces.slip_p99", "interfaces.slip_path_p99"),
     "finite_sliding": ("interfaces.sliding",),
     "contact": ("interfaces: contact",),
+    "contact_law": ("interfaces: contact", "interfaces: cohesive", "interfaces: penalty"),
+    "mortar": ("interfaces.quadrature",),
     "tie": ("interfaces: bonded",),
     "tied": ("interfaces: bonded",),
     "debonding": ("interfaces: cohesive", "interfaces.gap_p99", "interfaces.area_broken"),
@@ -117,6 +122,8 @@ BY_ZONE = {
 def explained(key: str = "", options: Mapping[str, str] | None = None) -> str:
     """Explain a word: keys with meaning, value, unit, default and example; results; options.
 
+    A phrase is looked for as a whole, then all of its words, then each word, the last one first.
+
     Args:
         key: A key as after ``--set``, without names or its last word alone; a kind; a name of the
             library, ``materials`` or ``loads`` for all of them; a term of the field. Without it,
@@ -131,25 +138,24 @@ def explained(key: str = "", options: Mapping[str, str] | None = None) -> str:
         return _units()
     if not query:
         return "\n".join([*map(_line, sections()[0].keys), "", *map(library.listed, library.KINDS)])
-    lower_word = re.sub("[ -]", "_", query.lower().replace("'", ""))
-    explanations = _answers(query, lower_word, options or {})
+    typed_words = [word for word in key.split() if word.lower() not in WITHOUT_MEANING]
+    explanations = _answers(query, options or {}) or _answers_to_all(typed_words)
+    for word in reversed(typed_words):
+        explanations = explanations or _answers(word, options or {})
     if explanations:
         return "\n\n".join(explanations)
-    typed_words = key.split()
-    if len(typed_words) > 1:
-        return explained(typed_words[-1], options)
     nearest = ", ".join(_nearest(query, library.described())) or ", ".join(Case.model_fields)
     raise InputError(f"{key}: is not a key, kind, result or term of mantle; nearest: {nearest}")
 
 
-def _answers(query: str, word: str, options: Mapping[str, str]) -> list[str]:
+def _answers(query: str, options: Mapping[str, str]) -> list[str]:
     """Return explanations of keys, kinds or an entry of the library, then lines, then options.
 
     Args:
-        query: A key, a kind or a name as typed.
-        word: The same in lower case and with underscores.
+        query: A key, a kind or a name as typed, with underscores for spaces.
         options: Options of commands with their meanings.
     """
+    word = re.sub("[ -]", "_", query.lower().replace("'", ""))
     targets = WORDS.get(word, (query,))
     blocks = [block for target in targets for block in (*_keys(target), *_kind(target))]
     library_lists = [library.listed(t).replace("`", "") for t in targets if t in library.KINDS]
@@ -164,13 +170,30 @@ def _answers(query: str, word: str, options: Mapping[str, str]) -> list[str]:
     if not library_lists:
         lines += _lines_with(word)
     if not blocks and not lines and not option_lines:
-        lines += list(_lines_on(word.replace("_", " ")))[:MOST_LINES]
+        lines += list(_lines_on([word.replace("_", " ")]))[:MOST_LINES]
     explanations = list(dict.fromkeys(blocks))
     if lines:
         explanations.append("\n".join(dict.fromkeys(lines)))
     if option_lines:
         explanations.append("\n".join([OPTIONS, *dict.fromkeys(option_lines)]))
     return explanations
+
+
+def _answers_to_all(typed_words: Sequence[str]) -> list[str]:
+    """Return lines on terms, results, kinds and keys that have two or more words in them."""
+    if len(typed_words) < 2:
+        return []
+    patterns = [_pattern(word) for word in typed_words]
+
+    def has_all(text: str) -> bool:
+        return all(pattern.search(text.replace("_", " ")) for pattern in patterns)
+
+    # Terms that have the words in their names are first.
+    terms = sorted(_terms(), key=lambda term: not has_all(f"{term.name} {term.other_names}"))
+    lines = [_line_of(term) for term in terms if has_all(" ".join(term))]
+    lines += filter(has_all, _results().values())
+    lines += _lines_on([word.lower() for word in typed_words])
+    return ["\n".join(dict.fromkeys(lines[:MOST_LINES]))] if lines else []
 
 
 def _nearest(query: str, names: Iterable[str]) -> list[str]:
@@ -314,15 +337,15 @@ def _results() -> dict[str, str]:
     return {name: f"  {name:<44} {text}{RESULT}" for name, text in (lines | BY_ZONE).items()}
 
 
-def _lines_on(word: str) -> Iterator[str]:
-    """Kinds and keys with a word in their meaning."""
+def _lines_on(words: Sequence[str]) -> Iterator[str]:
+    """Kinds and keys with all words in their meaning."""
     for section in sections():
-        if section.kind and word in section.meaning.lower():
+        if section.kind and all(word in section.meaning.lower() for word in words):
             heading = f"{section.path}: {section.kind}"
             meaning = textwrap.shorten(section.meaning.replace("`", ""), WIDTH - 20)
             yield f"  {heading:<44} {meaning}"
         for key in section.keys:
-            if word in key.meaning.lower():
+            if all(word in key.meaning.lower() for word in words):
                 yield _line(key)
 
 
@@ -336,14 +359,16 @@ def _options_named(names: Sequence[str], options: Mapping[str, str]) -> Iterator
             )
 
 
+def _pattern(word: str) -> re.Pattern[str]:
+    """Pattern of a word; short words stand alone, longer ones may be the beginning of a word."""
+    end = r"(?![a-z0-9])" if len(word) < SHORT_WORD else ""
+    text = re.escape(word.replace("_", " "))
+    return re.compile(rf"(?<![a-z0-9]){text}{end}", re.IGNORECASE)
+
+
 def _lines_with(word: str) -> Iterator[str]:
     """Entries of the library, results and terms of the glossary with a word in them."""
-    # Short words stand alone; longer ones may be the beginning of a word.
-    end = r"(?![a-z0-9])" if len(word) < SHORT_WORD else ""
-    pattern = re.compile(
-        rf"(?<![a-z0-9]){re.escape(word.replace('_', ' '))}{end}",
-        re.IGNORECASE,
-    )
+    pattern = _pattern(word)
 
     def has_word(line: str) -> bool:
         return len(word) > 1 and pattern.search(line.replace("_", " ")) is not None
@@ -355,10 +380,29 @@ def _lines_with(word: str) -> Iterator[str]:
         label = line.removesuffix(RESULT).removeprefix(f"  {name} ")
         if has_word(key) or has_word(label) or (has_word(section) and name in BY_ZONE):
             yield line
+    for term in _terms():
+        if has_word(term.name) or has_word(term.other_names):
+            yield _line_of(term)
+
+
+class Term(NamedTuple):
+    """A row of the glossary: term, meaning, other names."""
+
+    name: str
+    meaning: str
+    other_names: str
+
+
+@cache
+def _terms() -> tuple[Term, ...]:
+    """Rows of the glossary; none if the manual is not installed."""
     glossary = GLOSSARY.read_text(encoding="utf-8") if GLOSSARY.exists() else ""
-    # Term, symbol and unit, meaning, place in the code, other words.
+    # Term, symbol and unit, meaning, place in the code, other names.
     row = r"^\| ([^|]+) \|[^|]*\| ([^|]+) \|[^|]*\|([^|]*)\|$"
-    for term, meaning, other_words in re.findall(row, glossary, re.MULTILINE):
-        if has_word(term) or has_word(other_words):
-            plain_text = re.sub("[*$`]", "", f"  {term}: {meaning}")
-            yield textwrap.fill(plain_text, WIDTH, subsequent_indent="    ")
+    return tuple(Term(*cells) for cells in re.findall(row, glossary, re.MULTILINE))
+
+
+def _line_of(term: Term) -> str:
+    """A term with its meaning, without Markdown."""
+    plain_text = re.sub("[*$`]", "", f"  {term.name}: {term.meaning}")
+    return textwrap.fill(plain_text, WIDTH, subsequent_indent="    ")

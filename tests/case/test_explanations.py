@@ -43,6 +43,9 @@ WORDS = {
     "output": "output",
     "probe": "output.probes",
     "gruen": "gruen.strain_energy_density ",
+    "contact law": "interfaces.<name> of kind contact",
+    "mortar": "interfaces.<name>.quadrature ",
+    "figure": "output.report",
 }
 # Further lines of some answers.
 FURTHER = {
@@ -56,6 +59,9 @@ FURTHER = {
     "restart": ["mantle run --restart"],
     "tolerance": ["time.tolerance"],
     "gruen": ["Gruen zone: "],
+    "contact law": ["of kind cohesive", "contact law: relation of gap and contact traction"],
+    "mortar": ["mortar: integral coupling"],
+    "figure": ["figure: picture of a run", "docs/paper.md"],
 }
 
 
@@ -88,6 +94,20 @@ def test_explanation_of_a_word_of_a_meaning_lists_the_keys() -> None:
     assert explanations.explained("Pennes").split()[:2] == ["heat.<name>:", "perfusion"]
     with pytest.raises(InputError, match="is not a key, kind, result or term of mantle; nearest: "):
         explanations.explained("xyzzy")
+
+
+def test_explanation_of_a_phrase_has_all_its_words() -> None:
+    """The glossary has no term `law of contact`, but one with both words."""
+    text = explanations.explained("law of contact")
+    assert text.startswith("  contact law: ")
+    assert "regions.<name>.youngs_modulus.law" not in text
+
+
+def test_explanation_of_a_phrase_falls_back_to_one_of_its_words() -> None:
+    for phrase in ("xyzzy subsidence", "subsidence xyzzy"):
+        assert explanations.explained(phrase) == explanations.explained("subsidence")
+    with pytest.raises(InputError, match="xyzzy yzzyx: is not a key, kind, result or term"):
+        explanations.explained("xyzzy yzzyx")
 
 
 def test_explanation_of_the_end_of_a_path_is_that_of_the_path() -> None:
