@@ -213,6 +213,16 @@ def shaft_of(implant: Implant) -> StemShaft:
     return StemShaft((values[0], values[1], values[2]), (slopes[0], slopes[1], slopes[2]))
 
 
+def half_width(implant: Implant, z: Floats) -> Floats:
+    """Half-width of a stem's shaft at heights (n,), also beyond its ends (n,) [mm].
+
+    Of a stem from a file it is the lateral extent at the shoulder.
+    """
+    if implant.cad is not None:
+        return np.full(len(z), float(implant.cad["lateral"]))
+    return np.asarray(shaft_of(implant).section(z)[0])
+
+
 def shoulder_plane_height(implant: Implant, slope: float) -> float:
     """Height at the axis of a section with a slope through the shoulder's lateral edge [mm]."""
     if implant.cad is not None:

@@ -31,6 +31,7 @@ from meshes.data import MeshKeys
 from meshes.femur_stem import StemAboveCut
 from meshes.geometry import HipKeys
 from meshes.layers import DIGITS, Lines, Nodes, Sections, root
+from meshes.placement import LEAST_SHOULDER_DEPTH
 from meshes.reference_body import COARSER, ReferenceBody, Segment
 
 MANTLE_BELOW_PLUG = 0.6  # of the canal: where the outer side of the mantle goes below the plug
@@ -40,8 +41,6 @@ VOID = "void"  # where no cells are
 COLLAR = "collar"
 COLLAR_SEARCH = 20  # places for each station at which the height of a collar's top is searched
 STATION_SPACING = 0.3  # of a step above the neck cut: no station is nearer to the top of a collar
-# Least depth of a shoulder below the cut [mm]; a higher one counts as at the cut.
-LEAST_SHOULDER_DEPTH = 2.5
 EDGE_DISTANCE = 0.02  # mm from a parabola at which the outline of a stem has an edge along
 EDGE_LINES = 96  # lines on which edges along are searched
 EDGE_SAMPLES = 16  # parts of a step in which an edge is searched

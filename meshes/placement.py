@@ -24,6 +24,8 @@ from app.foundation.implant import Implant
 from meshes import femur_stem
 
 ROUNDING = 1e-12  # of a cut's normal: rounded off
+# Least depth of a shoulder below the cut [mm]; a higher one counts as at the cut.
+LEAST_SHOULDER_DEPTH = 2.5
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no one truth: geometries compare their keys
@@ -305,6 +307,22 @@ def placement_of(geometry: StemInBone) -> Placement:
         GeometryError: The cut is beside the bone, or condyles are asked for that are not there.
     """
     return CutPlane.of(geometry).put(geometry.implant, position(geometry), geometry.femur.mirrored)
+
+
+def shoulder_level(implant: Implant, placement: Placement, x: Floats) -> Floats:
+    """Level function of a stem's shoulder at points (n, 3): not positive on it (n,) [mm].
+
+    The shoulder is the surface above the section through its lateral edge, as far as it is within
+    the shaft if that went on: on its medial side the stem becomes wider. Where the shoulder is at
+    the cut or above, all levels are infinite.
+    """
+    edge = femur_stem.shoulder_plane_height(implant, placement.slopes[0])
+    if edge > placement.top - LEAST_SHOULDER_DEPTH:
+        return np.full(len(x), np.inf)
+    local = placement.to_stem(x)
+    section = edge - local[:, :2] @ np.array(placement.slopes)
+    medial = femur_stem.half_width(implant, local[:, 2])
+    return np.asarray(np.maximum(section - local[:, 2], local[:, 0] - medial))
 
 
 def lengthening(geometry: PlacedStem) -> float:

@@ -22,9 +22,9 @@ from app.foundation.implant import Implant
 from meshes import femur_stem
 from meshes.cad_stem import CadStem
 from meshes.geometry import HipKeys
-from meshes.layered_surfaces import LEAST_CORTEX, LEAST_SHOULDER_DEPTH, SIDES
+from meshes.layered_surfaces import LEAST_CORTEX, SIDES
 from meshes.layers import Sections
-from meshes.placement import CutPlane, Placement, Position
+from meshes.placement import LEAST_SHOULDER_DEPTH, CutPlane, Placement, Position
 
 # Distances between nodes of the grid [mm]. The canal is straighter along z.
 GRID_STEP = np.array([1.0, 1.0, 2.0])

@@ -138,6 +138,9 @@ class _Femur(Hip):
             message = f"is not below {self.plug_end}; expected below {implant.plug:g} mm"
             fail(message, at=("distal_cut_z",))
         self.check_end()
+        if self.canal_widening and not self.is_cemented:
+            message = "makes room for cement, but there is none: the stem takes the bone in its way"
+            fail(f"{message}; leave it out", at=("canal_widening",))
         if not 0.0 <= self.resection.angle < math.pi / 2:
             fail("is not between 0 and 90 deg", at=("resection", "angle"))
         if not HEAD[0] <= implant.head_height <= HEAD[1]:

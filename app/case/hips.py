@@ -34,6 +34,7 @@ from meshes.placement import (
     ResectionKeys,
     head_in_words,
     placement_of,
+    shoulder_level,
     stem_head,
 )
 
@@ -322,6 +323,15 @@ class Hip(Shape):
             height <= implant.length + ROUNDING
         )
         return np.asarray(is_on_flanks)
+
+    def off_bone(self, interface: str, x: Floats) -> Bools:
+        """True at points (n, 3) of an interface on the shoulder of a stem without cement (n,).
+
+        The stem was pushed in from there, so no bone is above its shoulder.
+        """
+        if self.is_cemented or interface == ON_CUT:
+            return np.zeros(len(x), dtype=bool)
+        return np.asarray(shoulder_level(self.implant, self.placement, x) <= ROUNDING)
 
     def check_end(self) -> None:
         """Refuse a void below the stem that cannot be meshed."""

@@ -306,6 +306,10 @@ class Shape(Extensible):
         """True at points (n, 3) that are neither on a stem's end nor on its shoulder (n,)."""
         return np.ones(len(x), dtype=bool)
 
+    def off_bone(self, interface: str, x: Floats) -> Bools:
+        """True at points (n, 3) of an interface where bone never touches a stem (n,)."""
+        return np.zeros(len(x), dtype=bool)
+
     @property
     def laws_to_write(self) -> dict[str, str]:
         """Interfaces that are not bonded by default, with an example of their law."""

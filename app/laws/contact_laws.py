@@ -38,6 +38,10 @@ if TYPE_CHECKING:
     from forms.contact import Response
 
 
+# Gap where bone never touches the stem: more than any motion [mm].
+OFF_BONE = 100.0
+
+
 def _interference(key: str, value: float | str | Table, stem: StemPlaces, x: Floats) -> Floats:
     """Interference of a key at points (n, 3): shape (n,) [mm]; 0 outside the flanks of a stem."""
     if isinstance(value, tuple):
@@ -182,6 +186,8 @@ class Unilateral(Frictional):
                 zone_gap = gap_of(zone, f"{key}.zones.{name}", x[inside])
                 if zone_gap is not None:
                     gaps[inside] = zone_gap
+            is_off_bone = stem.off_bone(interface, x)
+            gaps[is_off_bone] = np.maximum(gaps[is_off_bone], OFF_BONE)
             return gaps
 
         return gap

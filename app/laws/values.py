@@ -149,6 +149,9 @@ class StemPlaces(Protocol):
     def on_flanks(self, x: Floats) -> Bools:
         """True at points (n, 3) that are neither on the stem's end nor on its shoulder (n,)."""
 
+    def off_bone(self, interface: str, x: Floats) -> Bools:
+        """True at points (n, 3) of an interface where bone never touches the stem (n,)."""
+
 
 class NoStem:
     """Places of bodies without a stem: heights are z."""
@@ -162,6 +165,10 @@ class NoStem:
     def on_flanks(self, x: Floats) -> Bools:
         """True everywhere."""
         return x[:, 2] == x[:, 2]
+
+    def off_bone(self, interface: str, x: Floats) -> Bools:
+        """True nowhere."""
+        return x[:, 2] != x[:, 2]
 
 
 # Pairs that begin with a time.

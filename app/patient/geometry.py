@@ -154,6 +154,9 @@ class Patient(OperatedHip):
         if self.canal.ct and (self.canal.path or not self.bone.image):
             fail("needs a bone with `image` and `label`, and no second canal", at=("canal", "ct"))
         self.check_end()
+        if self.canal.ream == "by" and not self.is_cemented:
+            message = "`by` makes room for cement, but there is none; expected broach or none"
+            fail(message, at=("canal", "ream"))
         implant = self.implant
         for field, message in implant.faults(spread(self.cement_thickness)[0]):
             fail(message, at=("stem", field))

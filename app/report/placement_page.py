@@ -25,9 +25,9 @@ from app.foundation.files import write_bytes
 from app.foundation.implant import Implant
 from app.report import page, viewer
 from app.report.packed_arrays import PackedArrays, as_text, points_in_range
-from meshes import best_position, femur_stem, layered_surfaces, room
+from meshes import best_position, femur_stem, room
 from meshes.femur_bone import tube_triangles
-from meshes.placement import Position, position
+from meshes.placement import LEAST_SHOULDER_DEPTH, Position, position
 
 # Depths of the stem for which the page has the best position [mm].
 DEPTHS = np.arange(-4.0, 14.5, 3.0)
@@ -131,7 +131,7 @@ def packed(geometry: OperatedHip, title: str, source: Path) -> tuple[dict[str, o
         "stem": {
             "along": room.BODY_SECTIONS,
             "neck_along": room.NECK_SECTIONS,
-            "deep": layered_surfaces.LEAST_SHOULDER_DEPTH,
+            "deep": LEAST_SHOULDER_DEPTH,
             "out": femur_stem.SHOULDER_SLOPE,
             "shoulder": femur_stem.SHOULDER_RISE,
             "clear": femur_stem.NECK_CLEARANCE,

@@ -151,7 +151,8 @@ class ContactSamples:
         penetration: Overlap of the faces of contact points (p, 3) [mm]; by mean jumps where
             interfaces meet.
         interface_of_contact_point: Interface of each contact point (p,).
-        gap: Opening of each face (n, 3) [mm]; 0 for faces that a point does not have.
+        gap: Opening of each face (n, 3) [mm]; 0 for faces that a point does not have, and where
+            bone never touches a stem.
         opening: Opening of the point, the largest of its faces (n,) [mm].
         slip: Slip: tangential part of the jump at a point in contact, without the elastic part of a
             layer; 0 where the point is open (n, 3) [mm]. Finite sliding: sum over the steps.
@@ -201,6 +202,9 @@ class ContactSamples:
         motion = motion_since(0.0)
         opening = np.einsum("pi,pki->pk", motion + at_corners(contact.gap), corners.normals)
         is_face = np.arange(3)[None, :] < corners.faces[:, None]
+        for i, interface in enumerate(problem.scene.contacts):
+            if interface.off_bone is not None:
+                opening[(corners.interface == i) & interface.off_bone(self.x)] = 0.0
         self.gap = np.where(is_face, opening, 0.0)
         self.opening = np.max(opening, axis=1, where=is_face, initial=-np.inf)
         # The law holds at the contact points. Some of them have the mean jump of several corners.
@@ -278,7 +282,7 @@ class ContactSamples:
         Forces of a rigid interface follow from equilibrium: a force over its area is a mean. In an
         elastic layer that is softer than the bodies, the traction is the stiffness times the jump
         at the point, and this is a point value. Between the two the part is that of two springs in
-        series, layer and bodies. A point that slips has the friction of its pressure.
+        series, layer and bodies.
 
         Returns:
             Parts [-] (n, 1), by the name of the traction; 1 without a layer.
@@ -287,8 +291,7 @@ class ContactSamples:
         if layer is None:
             return {"pressure": 1.0, "shear": 1.0}
         normal, tangential = (1 / (1 + self._body_stiffness / k) for k in layer)
-        shear = np.where(self.status == SLIP, normal, tangential)
-        return {"pressure": normal[:, None], "shear": shear[:, None]}
+        return {"pressure": normal[:, None], "shear": tangential[:, None]}
 
     @cached_property
     def numbers(self) -> dict[str, Numbers]:

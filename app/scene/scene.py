@@ -20,7 +20,7 @@ import numpy as np
 
 from app.case.run_options import Stage as Stage
 from app.case.run_options import TimeOptions
-from app.foundation.arrays import Field, Floats
+from app.foundation.arrays import Bools, Field, Floats
 from app.foundation.errors import InputError
 from app.laws.creep import Creep
 from app.laws.cure import Cure
@@ -62,6 +62,7 @@ class Interface:
         press_fit: True if micromotion is reported: the jump since the gap last changed.
         zones: Level functions of the zones, by name: points (n, 3) -> (n,), not positive inside.
         rounded_angle: Angle up to which straight facets at an edge stand for a rounded one [rad].
+        off_bone: Function of points (n, 3), True where the sides never touch (n,); None: nowhere.
     """
 
     name: str
@@ -78,6 +79,7 @@ class Interface:
     press_fit: bool = False
     zones: Mapping[str, Field] = dataclasses.field(default_factory=dict)
     rounded_angle: float = 0.0
+    off_bone: Callable[[Floats], Bools] | None = None
 
 
 @dataclass(frozen=True)
@@ -510,6 +512,7 @@ def _interface(
             zone: partial(_height_outside, ends, stem) for zone, ends in law.zone_heights.items()
         },
         rounded_angle=stem.rounded_angle,
+        off_bone=partial(stem.off_bone, name),
     )
 
 

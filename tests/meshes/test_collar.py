@@ -110,6 +110,8 @@ def random_hip(seed: int) -> tuple[Femur, MeshOptions]:
             },
         },
     }
+    if keys["cement_thickness"] == "0 mm":
+        del keys["canal_widening"]  # it makes room for cement
     order = of.choice([1, 2])
     options = MeshOptions.model_validate({"size": "8 mm", "order": order})
     return Femur.model_validate(keys), options.model_copy(update={"curved": order == 2})

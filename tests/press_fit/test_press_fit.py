@@ -11,7 +11,7 @@ import pytest
 import app.extensions  # noqa: F401 (registers the package)
 import mantle
 from app.case.case import load
-from app.foundation.errors import InputError
+from app.foundation.errors import ConvergenceError, InputError
 from app.foundation.verdict import Verdict
 from app.laws.contact_laws import Coulomb
 from app.laws.interface_laws import insertion_stages
@@ -379,6 +379,27 @@ def test_press_fit_says_that_bone_yields_before_the_ingrowth() -> None:
     assert _RESULT_VERDICTS.index(_beyond_yield) < _RESULT_VERDICTS.index(
         _ingrowth
     )  # the warning is printed first
+
+
+@pytest.mark.parametrize("depth", [0, 6])
+def test_press_fit_without_friction_expels_the_stem(depth: int, tmp_path: Path) -> None:
+    """No bone above its shoulder holds it: a taper that is pressed without friction slides out."""
+    changes = {
+        "mesh.size": "20 mm",
+        "geometry.insertion": {"depth": f"{depth} mm"},
+        "interfaces.stem_bone.friction_coefficient": 0,
+        "interfaces.stem_bone.elastic_layer": None,
+        "loads.history": [0, 0],
+        "output.error": False,
+    }
+    with pytest.raises(ConvergenceError, match="body 'stem'"):
+        mantle.run(mantle.load(CONFIGS / "pressed.yaml", **changes), tmp_path)
+
+
+def test_press_fit_refuses_reaming_for_cement() -> None:
+    """The space between the canal and the stem would be filled with bone."""
+    with pytest.raises(InputError, match=r"geometry\.canal_widening: makes room for cement"):
+        mantle.load(CONFIGS / "pressed.yaml", **{"geometry.canal_widening": "3 mm"})
 
 
 def test_press_fit_shear_obeys_the_elastic_layer(tmp_path: Path) -> None:
