@@ -318,9 +318,9 @@ def _stages(case: CaseParts) -> Iterable[Fault]:
         if key in type(entry).model_fields
     ]
     for name, region in _valid(case.regions):
-        for i, strain in enumerate(getattr(region, "eigenstrains", ())):
+        for i, strain in enumerate(region.eigenstrains):
             key = ("regions", name, "eigenstrains", i, "history")
-            load_histories.append((key, getattr(strain, "history", None)))
+            load_histories.append((key, strain.history))
     for path, load_history in load_histories:
         if load_history is not None and len(load_history) != len(stage_names):
             expected_values = (

@@ -65,11 +65,10 @@ def _head(case: Case) -> Iterable[Fault]:
     """Test without a load on the boundary of the head."""
     test = stem_test_of(case)
     assert test
-    loaded_boundaries = [load.form_key[1] for load in case.loads.values() if load]
+    loads = [load for load in case.loads.values() if load]
+    loaded_boundaries = {boundary for load in loads for boundary in load.boundaries}
     if test.head not in loaded_boundaries:
-        listed_boundaries = (
-            ", ".join(sorted({place for place in loaded_boundaries if place})) or "none"
-        )
+        listed_boundaries = ", ".join(sorted(loaded_boundaries)) or "none"
         message = f"no load acts on '{test.head}'; boundaries with loads: {listed_boundaries}"
         yield Fault(("stem_test", "head"), message)
 

@@ -41,10 +41,9 @@ class PottedStem(Record):
         self._stresses = Stresses(followed.problem, fine=[test.region])
         facets = bodies.boundary_facets(followed.problem.tagged, test.head)
         self._head = facet_surface(followed.problem, facets)
-        loads = [load for load in case.loads.values() if load.form_key[1] == test.head]
-        self._force = np.sum([getattr(load, "force", (0.0, 0.0, 0.0)) for load in loads], axis=0)
-        load_points = [getattr(load, "at", None) for load in loads]
-        points = [at for at in load_points if at is not None]
+        loads = [load for load in case.loads.values() if test.head in load.boundaries]
+        self._force = np.sum([load.resultant or (0.0, 0.0, 0.0) for load in loads], axis=0)
+        points = [load.point for load in loads if load.point is not None]
         centre = np.average(self._head.x, axis=0, weights=self._head.area)
         self._centre = np.asarray(points[0]) if points else centre
 

@@ -101,6 +101,7 @@ class Material(OfRegion):
         fibre: Fibre | None
         # None without creep.
         creep: Creep | None
+        eigenstrains: tuple[Eigenstrain, ...]
 
     material: Text | None = None
     """Material of the library (`mantle explain materials`); other keys change it."""
@@ -357,6 +358,7 @@ class Rigid(Material):
     refused: ClassVar[tuple[str, ...]] = ("thermal_expansion", "cure")
     fibre: ClassVar[None] = None  # type: ignore[misc]
     creep: ClassVar[None] = None  # type: ignore[misc]
+    eigenstrains: ClassVar[tuple[Eigenstrain, ...]] = ()  # type: ignore[misc]
 
     rigid: Annotated[Literal[True], BeforeValidator(_true)]
     """Marks the region as rigid; must be true."""
@@ -371,6 +373,7 @@ class Conductor(Material):
     refused: ClassVar[tuple[str, ...]] = ("thermal_expansion",)
     fibre: ClassVar[None] = None  # type: ignore[misc]
     creep: ClassVar[None] = None  # type: ignore[misc]
+    eigenstrains: ClassVar[tuple[Eigenstrain, ...]] = ()  # type: ignore[misc]
 
     kind: Literal["conductor"] = "conductor"
     thermal: Thermal

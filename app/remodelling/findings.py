@@ -39,8 +39,8 @@ def _stages_and_regions(case: Case) -> Iterable[Fault]:
     bone = [n for n, r in regions.items() if r and (r.tissue or tissues.get(n)) == "bone"]
     for name in law.regions or bone:
         region = regions.get(name)
-        cures = getattr(getattr(region, "thermal", None), "cure", None)
-        if not (region and region.deforms) or region.eigenstrains or cures:
+        is_elastic = region is not None and region.deforms and not region.eigenstrains
+        if region is None or not is_elastic or (region.thermal and region.thermal.cure):
             message = (
                 f"{name} cannot remodel; expected elastic regions without eigenstrains and cure"
             )

@@ -220,7 +220,7 @@ def _lines(view: View, case: Case, data: MeshData) -> None:
         triangles_of_interface = [data.points[interface_facets(data, name)[0][:, :3]]]
         triangles_of_interface += [_boundary(data, face) for face in case.faces.get(name, ())]
         label = f"{name.replace('_', '-')}: {law_text}"
-        style = "--" if law.kind == "bonded" else "-"
+        style = "-" if law.can_part else "--"
         view.lines(np.concatenate(triangles_of_interface), colour, label, style=style)
     conditions: list[tuple[str, str, str, Section]] = []
     conditions += [

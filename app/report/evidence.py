@@ -501,7 +501,7 @@ def _subjects(case: Case) -> list[str]:
 
 def _creeping(case: Case) -> list[str]:
     """Names of the regions that creep."""
-    return [name for name, region in case.regions.items() if getattr(region, "creep", None)]
+    return [name for name, region in case.regions.items() if region.creep]
 
 
 def _outcome(check: Check) -> str:

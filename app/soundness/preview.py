@@ -182,7 +182,7 @@ def resultant(case: Case) -> Iterator[str]:
     yield f"sum of the forces at the end: [{components}] N, {math.hypot(*total):.1f} N{remark}"
     sections = section_loads(case, len(case.stages))
     if sections:
-        remark = "" if all(getattr(load, "at", None) for load in loads) else ", of loads with `at`"
+        remark = "" if all(load.point for load in loads) else ", of loads with `at`"
         yield (
             f"force and moment above a section{remark}, at the end (last row: the knee; "
             "line: line of action of the force)"
@@ -249,8 +249,8 @@ def input_notes(case: Case) -> list[Verdict]:
     notes = case.geometry.former_keys
     acts = [
         *(law.has_gap for law in case.interfaces.values()),
-        *(getattr(s, axis, None) for s in case.supports.values() for axis in "xyz"),
-        *(getattr(region, "eigenstrains", ()) for region in case.regions.values()),
+        *(support.moves for support in case.supports.values()),
+        *(region.eigenstrains for region in case.regions.values()),
     ]
     if not (case.conducts or case.loads or any(acts)):
         notes.append(note("nothing acts on the model: the result will be zero"))
@@ -392,7 +392,7 @@ def _without_effect(case: Case) -> Iterable[Verdict]:
             if is_given(law, path):
                 key = ".".join(("interfaces", name, *path))
                 yield note(f"has no effect: {reason}", key, "leave it out")
-    fixed_boundaries = {s.boundary: n for n, s in case.supports.items() if s.kind == "fixed"}
+    fixed_boundaries = {s.boundary: n for n, s in case.supports.items() if s.clamps}
     for name, load in case.loads.items():
         for boundary in load.boundaries:
             support = fixed_boundaries.get(boundary)
@@ -412,7 +412,7 @@ def _open_conductances(case: Case) -> Iterable[Verdict]:
     open_names = [
         name
         for name, law in case.interfaces.items()
-        if law.kind != "bonded" and name not in case.faces and not law.conducts_by_pressure
+        if law.can_part and name not in case.faces and not law.conducts_by_pressure
     ]
     if open_names:
         message = "the conductance does not change where the interface opens"

@@ -1,7 +1,7 @@
 """Well-posedness of a case on its mesh, and doubtful sizes.
 
 Each check is a function that returns verdicts: errors, which refuse the case before anything is
-solved, and notes. `judge` evaluates the checks of the tables at the end of this module.
+solved, and notes. `check_on_mesh` evaluates the checks of the tables at the end of this module.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def _contradictory_supports_of(
     for name, support in case.supports.items():
         of_piece = parts.boundaries.get(support.boundary, {})
         nodes = [of_piece[piece] for piece in pieces if piece in of_piece]
-        if support.kind != "foundation" and nodes:
+        if not support.is_spring and nodes:
             nodes_of_support[name] = np.unique(np.concatenate(nodes))
     for first_support, second_support in combinations(nodes_of_support, 2):
         a, b = case.supports[first_support], case.supports[second_support]
@@ -168,7 +168,7 @@ def _rotations_not_given(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     A computed rotation would use the contact points from before the sliding.
     """
     regions_without_free_rotation = {motion.region for motion in case.motions.values()}
-    fixed_boundaries = [s.boundary for s in case.supports.values() if s.kind == "fixed"]
+    fixed_boundaries = [s.boundary for s in case.supports.values() if s.clamps]
     regions_without_free_rotation |= {
         parts.pieces[k].region for name in fixed_boundaries for k in parts.boundaries.get(name, ())
     }
@@ -211,9 +211,10 @@ def _motions_with_supports_or_loads(case: Case, parts: MeshPieces) -> Iterator[V
 def _fibre_axes_in_cells(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     """Fibre axes that meet cells of their region, where fibres have no direction."""
     for name, region in case.regions.items():
-        owners = {f"regions.{name}": region, f"regions.{name}.thermal": region.thermal}
-        for key, owner in owners.items():
-            fibre = getattr(owner, "fibre", None)
+        fibres = {f"regions.{name}": region.fibre}
+        if region.thermal is not None:
+            fibres[f"regions.{name}.thermal"] = region.thermal.fibre
+        for key, fibre in fibres.items():
             if fibre is None or not fibre.curved:
                 continue
             cells = parts.corners_of(name)
@@ -293,9 +294,7 @@ def _followers_moved_twice(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
         return np.concatenate([np.zeros(0, int), *parts.boundaries.get(boundary, {}).values()])
 
     contacts = build_scene(case).contacts if parts.faces else ()
-    supported_boundaries = {
-        n: s.boundary for n, s in case.supports.items() if s.kind != "foundation"
-    }
+    supported_boundaries = {n: s.boundary for n, s in case.supports.items() if not s.is_spring}
     nodes_by_owner = {
         f"supports.{name}": nodes(boundary) for name, boundary in supported_boundaries.items()
     }
@@ -336,7 +335,7 @@ def _clamped_interfaces(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
         for side in case.geometry.interface_sides[name]:
             values = np.zeros((len(parts.x), 3, 3))
             for s in case.supports.values():
-                if s.kind == "foundation":
+                if s.is_spring:
                     continue
                 for piece, nodes in parts.boundaries.get(s.boundary, {}).items():
                     if parts.pieces[piece].region in side:
@@ -433,7 +432,7 @@ def _large_displacements(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     """Prescribed displacements that are not small."""
     model_size = float(np.linalg.norm(np.ptp(parts.x, axis=0)))
     for name, s in case.supports.items():
-        if s.kind != "displacement" or not parts.boundaries.get(s.boundary):
+        if not s.moves or not parts.boundaries.get(s.boundary):
             continue
         x = parts.x[np.concatenate([*parts.boundaries[s.boundary].values()])]
         largest_displacement = float(np.abs(_prescribed_displacements(case, name, x)).max())
