@@ -19,9 +19,12 @@ import numpy as np
 from app.foundation.arrays import Bools, Floats, Ints
 from meshes import femur_stem
 from meshes.geometry import HipKeys, is_radial
+from meshes.placement import shoulder_level
 
 BELOW_TIP = 20.0  # mm below the tip that belong to zones 4 and 11
 RIM_HEIGHT = 10.0  # mm below the neck cut whose interfaces are reported apart
+# Part of the surface of a stem without cement that no bone touches.
+SHOULDER = "shoulder"
 # Layered meshes put points on the planes between zones, where rounding must not decide [mm].
 ROUNDING = 1e-6
 
@@ -71,11 +74,25 @@ class Zones:
         return self._thickness(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
 
     def borders(self, x: Floats) -> dict[str, Floats]:
-        """Height of points (n, 3) above the stem's end, depth below the rim (n,) [mm]."""
-        return {
-            "tip": self._local(x)[:, 2] - self._end - ROUNDING,
-            "rim": self.depth(x) - RIM_HEIGHT,
-        }
+        """Return levels of points (n, 3) by part (n,), not positive in it [mm].
+
+        The height above the stem's end, and the depth below the rim. No bone touches the shoulder
+        of a stem without cement.
+        """
+        levels = {} if self._geometry.is_cemented else {SHOULDER: self._shoulder_level(x)}
+        levels["tip"] = self._local(x)[:, 2] - self._end - ROUNDING
+        levels["rim"] = self.depth(x) - RIM_HEIGHT
+        return levels
+
+    def _shoulder_level(self, x: Floats) -> Floats:
+        geometry = self._geometry
+        return shoulder_level(geometry.implant, geometry.placement, x) - ROUNDING
+
+    def touches(self, x: Floats) -> Bools:
+        """Mask of the points (n, 3) of a stem's surface that bone or cement can touch (n,)."""
+        if self._geometry.is_cemented:
+            return np.ones(len(x), dtype=bool)
+        return np.asarray(self._shoulder_level(x) > -2 * ROUNDING)
 
     def is_left(self, x: Floats) -> Bools:
         """Mask of the points (n, 3) [mm] of bone that the planned operation leaves (n,)."""

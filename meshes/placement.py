@@ -314,11 +314,11 @@ def shoulder_level(implant: Implant, placement: Placement, x: Floats) -> Floats:
 
     The shoulder is the surface above the section through its lateral edge, as far as it is within
     the shaft if that went on: on its medial side the stem becomes wider. Where the shoulder is at
-    the cut or above, all levels are infinite.
+    the cut or above, all levels are positive.
     """
     edge = femur_stem.shoulder_plane_height(implant, placement.slopes[0])
     if edge > placement.top - LEAST_SHOULDER_DEPTH:
-        return np.full(len(x), np.inf)
+        return np.full(len(x), implant.length)
     local = placement.to_stem(x)
     section = edge - local[:, :2] @ np.array(placement.slopes)
     medial = femur_stem.half_width(implant, local[:, 2])

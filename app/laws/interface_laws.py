@@ -299,6 +299,15 @@ class InterfaceLaw(Extensible):
         return None
 
     @property
+    def jump_stiffness(self) -> tuple[float, float] | None:
+        """Normal and tangential traction per jump of a law of springs [MPa/mm]; None of others.
+
+        Soft springs have the traction of the jump at their point. Other tractions are means, from
+        which maxima and percentiles recover point values (theory, "Tractions as point values").
+        """
+        return self.layer
+
+    @property
     def compresses(self) -> bool:
         """True if the sides overlap under pressure by the compression of a layer between them.
 

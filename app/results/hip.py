@@ -313,7 +313,7 @@ def by_zone(
             "interfaces": {},
         }
     if samples is not None:
-        zones_of_points = zones.zones_at(samples.x)
+        zones_of_points = zones.zones_at(samples.x) * zones.touches(samples.x)[:, None]
         for i, contact in enumerate(problem.scene.contacts):
             for zone in zones.numbers:
                 in_zone = (samples.interface == i) & (zones_of_points == zone).any(axis=1)

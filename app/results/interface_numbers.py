@@ -279,18 +279,18 @@ class ContactSamples:
     def _recovered_shares(self, i: int) -> dict[str, Floats | float]:
         """Return the part of the recovered change of each traction of an interface that counts.
 
-        Forces of a rigid interface follow from equilibrium: a force over its area is a mean. In an
-        elastic layer that is softer than the bodies, the traction is the stiffness times the jump
-        at the point, and this is a point value. Between the two the part is that of two springs in
-        series, layer and bodies.
+        Forces of a rigid interface follow from equilibrium: a force over its area is a mean. In
+        springs that are softer than the bodies, the traction is the stiffness times the jump at the
+        point, and this is a point value. Between the two the part is that of two springs in
+        series, interface and bodies.
 
         Returns:
-            Parts [-] (n, 1), by the name of the traction; 1 without a layer.
+            Parts [-] (n, 1), by the name of the traction; 1 without springs.
         """
-        layer = self.contacts[i].law.layer
-        if layer is None:
+        stiffnesses = self.contacts[i].law.jump_stiffness
+        if stiffnesses is None:
             return {"pressure": 1.0, "shear": 1.0}
-        normal, tangential = (1 / (1 + self._body_stiffness / k) for k in layer)
+        normal, tangential = (1 / (1 + self._body_stiffness / k) for k in stiffnesses)
         return {"pressure": normal[:, None], "shear": tangential[:, None]}
 
     @cached_property

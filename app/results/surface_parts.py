@@ -25,6 +25,7 @@ from app.case.hips import ON_CUT
 from app.foundation.arrays import Bools, Floats, Ints
 from app.interfaces.corners import ContactSurface
 from app.results.percentiles import SurfaceField
+from meshes.gruen import SHOULDER
 
 # Steps from means towards point values.
 STEPS = 2
@@ -166,13 +167,15 @@ class Surface:
 
     @property
     def parts(self) -> list[str]:
-        """Names of the parts; the part outside all others has an empty name, and is always there.
+        """Names of the reported parts; the part outside all others has an empty name.
 
-        A part smaller than `LEAST_PART` is rounding at its border, such as the tip of a stem whose
-        end faces a void.
+        It is always there. The shoulder, which no bone touches, is not reported. A part smaller
+        than `LEAST_PART` is rounding at its border, such as the tip of a stem whose end faces a
+        void.
         """
         least_area = LEAST_PART * self.area.sum()
-        return [p for p in self._pieces if not p or self.weight[p].sum() > least_area]
+        reported_parts = [p for p in self._pieces if p and p != SHOULDER]
+        return ["", *(p for p in reported_parts if self.weight[p].sum() > least_area)]
 
     def _hats(self, pieces: Pieces) -> Floats:
         """Return the integrals of the points' shape functions over pieces (n,) [mm2]."""

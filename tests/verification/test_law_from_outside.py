@@ -277,6 +277,10 @@ class ContactLayer(InterfaceLaw):
     tangential: StiffnessField
     """Shear per elastic shift."""
 
+    @property
+    def jump_stiffness(self):
+        return self.normal, self.tangential
+
     def response(self, at):
         v, old = at.constants, at.internal_variables["slid"]
         gap = variable(at.jump + at.initial_gap)
