@@ -15,13 +15,11 @@ from app.case import explanations, keys
 from app.case import sweep as sweep_file
 from app.case.case import PlannedRun, dump, load
 from app.case.femurs import Femur
-from app.case.run_options import Stage
 from app.foundation.errors import InputError
 from app.laws.creep import Creep
 from app.laws.interface_laws import Bonded
 from app.laws.loads import Force
 from app.laws.materials import Rigid
-from app.schema.section import Section
 from app.soundness import preview
 from tests import support
 from tests.support import CONFIGS
@@ -79,34 +77,6 @@ def test_case_region_is_rigid_by_its_kind(two_blocks: str, change: str) -> None:
     region = support.case(text, f"regions.upper{change}").regions["upper"]
     assert isinstance(region, Rigid)
     assert region.tissue == ("other" if "{" in change else "cement")
-
-
-def test_overlay_overrides_reach_every_key(two_blocks: str) -> None:
-    case = support.case(
-        two_blocks,
-        "mesh.size=0.1 cm",
-        "geometry.blocks[1].name=top_one",
-        "regions.upper=",
-        "regions={lower: {rigid: true}, top_one: {youngs_modulus: 1 GPa, poisson_ratio: 0}}",
-        "regions.top_one.eigenstrains=[{strain: -1e-3}, {strain: [0, 0, 1e-3, 0, 0, 0]}]",
-        "supports.base={kind: foundation, boundary: bottom, stiffness: 0.1 GPa/mm}",
-        "loads.push.kind=force",
-        "loads.push.boundary=top",
-        "loads.push.force=[0, 0, -1] kN",
-        "solver.petsc.ksp_monitor=true",
-        "mesh.size=3 mm",
-        "stages.0.name=only",
-        "stages.0.increments=3",
-    )
-    assert case.mesh.size == 3.0
-    assert case.stages == (Stage(name="only", increments=3),)
-    assert case.geometry.region_names == ("lower", "top_one")
-    assert case.loads["push"].force == (0.0, 0.0, -1000.0)  # type: ignore[union-attr]
-    assert case.solver.petsc == {"ksp_monitor": True}
-    # Single values stand for all directions.
-    assert case.supports["base"].stiffness == (100.0, 100.0, 100.0)  # type: ignore[union-attr]
-    strains = [e.strain for e in case.regions["top_one"].eigenstrains]  # type: ignore[union-attr]
-    assert strains == [(-1e-3, -1e-3, -1e-3, 0, 0, 0), (0, 0, 1e-3, 0, 0, 0)]
 
 
 # ------------------------------------------------------------------------------ expressions
@@ -168,18 +138,6 @@ def test_case_title_does_not_change_its_identity(tmp_path: Path) -> None:
     jobs = [PlannedRun.load("a", STANCE), PlannedRun.load("b", STANCE, same)]
     one, two = runs_of(jobs, tmp_path, 1)
     assert one.id == two.id
-
-
-def test_section_with_cached_arrays_compares_by_fields() -> None:
-    """Caches by geometry meet a second one of the same case, which holds arrays already."""
-
-    class Place(Section):
-        x: float = 1.0
-
-    one, two, other = Place(), Place(), Place(x=2.0)
-    one.__dict__["placement"], two.__dict__["placement"] = np.zeros(3), np.ones(3)
-    assert one == two and hash(one) == hash(two)
-    assert one != other and one != 1.0
 
 
 @pytest.mark.parametrize(

@@ -22,13 +22,14 @@ import pytest
 
 import mantle
 import meshes
+from app.case import new_case
 from app.case.case import dump, load
 from app.case.quantities import largest
 from app.foundation.verdict import recorded
 from app.laws.loads import Force
 from app.report import run_report
 from app.simulation import finished_runs
-from app.system import identity
+from app.system import folders, identity
 from meshes.femur_bone import FemurBone
 from tests import frozen, support
 from tests.cases.shipped import COARSE
@@ -729,3 +730,54 @@ def test_run_of_a_shipped_case(name: str, tmp_path: Path) -> None:
         assert all(q["penetration_max"] < 1e-9 for q in exact)  # layers and bonds yield
         if name in CHECKS:
             CHECKS[name](summary)
+
+
+def test_run_of_a_case_with_a_base_can_be_repeated(tmp_path: Path) -> None:
+    new_case.write(tmp_path / "blocks", "blocks")
+    new_case.write(tmp_path / "cylinders", "cylinders")
+    over = tmp_path / "over.yaml"
+    over.write_text("base: blocks.yaml\nregions: {metal: {material: CoCrMo}}\n", encoding="utf-8")
+    first = mantle.run(mantle.load(over), tmp_path / "first")
+    mantle.run(mantle.load(tmp_path / "first" / "case.yaml"), tmp_path / "again")
+    assert frozen.numbers(tmp_path / "first") == frozen.numbers(tmp_path / "again")
+    record = json.loads((tmp_path / "first" / "provenance.json").read_text(encoding="utf-8"))
+    names = [Path(name).name for name in record["based_on_sha256"]]
+    assert names == ["blocks.yaml", "library.yaml"]
+    # What a case is, not how it is written, tells what is finished.
+    assert mantle.run(mantle.load(over), tmp_path / "first").summary == first.summary
+    pushed = mantle.run(
+        mantle.load(tmp_path / "cylinders.yaml", mesh__size="4 mm"), tmp_path / "pushed"
+    )
+    slip = pushed.summary["interfaces"]["stem_cement"]["slip_p99"]
+    assert slip == pytest.approx(0.1, rel=0.02)  # all of the way that it is pushed
+
+
+def test_run_of_a_run_imports_no_mesher_pictures_or_scipy(tmp_path: Path) -> None:
+    """Each costs a tenth of a second and more, in a run that could take two without its page."""
+    path = support.CONFIGS / "blocks.yaml"
+    case = load(path).config
+    meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
+    script = (
+        "import sys; from app.cli import main; "
+        f"assert main(['run', {str(path)!r}, '-o', {str(tmp_path)!r}, "
+        "'--set', 'output.report=false']) == 0; "
+        "print(*sys.modules)"
+    )
+    loaded = set(support.python("-c", script).stdout.splitlines()[-1].split())
+    assert "dolfinx" in loaded
+    assert not loaded & {"gmsh", "matplotlib", "pandas", "pint", "scipy.sparse", "scipy.spatial"}
+
+
+def test_run_of_a_parametric_femur_imports_nothing_for_patients() -> None:
+    """Imports of the search for landmarks on a patient's bone take 0.15 s."""
+    path = str(support.CONFIGS / "stance.yaml")
+    script = (
+        "import sys; from pathlib import Path; from app.case.case import load; "
+        f"assert load(Path({path!r})).config.geometry.placement.top > 0; print(*sys.modules)"
+    )
+    loaded = set(support.python("-c", script).stdout.splitlines()[-1].split())
+    assert "meshes.placement" in loaded
+    for_patients = {
+        f"scipy.{name}" for name in ("interpolate", "ndimage", "optimize", "signal", "stats")
+    }
+    assert not loaded & (for_patients | {"app.patient.bone"})

@@ -12,25 +12,14 @@ import numpy as np
 import pytest
 
 from app.case.femurs import FemurResection
-from app.case.geometries import Femur, IntactFemur, MeshOptions
+from app.case.geometries import Femur, IntactFemur
 from app.case.hips import MUSCLES
-from app.case.stems import Stem
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
-from meshes import (
-    femur,
-    femur_bone,
-    femur_intact,
-    femur_stem,
-    quality,
-    reference_body,
-    swept,
-    write_msh,
-)
+from meshes import femur, femur_bone, femur_intact, femur_stem, quality, swept, write_msh
 from meshes.bone_layers import TableLayers
 from meshes.data import (
     EDGES,
-    MeshData,
     boundary_facets,
     exterior_facets,
     facet_areas,
@@ -43,25 +32,9 @@ from meshes.femur_bone import FemurBone
 from meshes.gmsh_session import session
 from meshes.layered_surfaces import LayeredSurfaces as Surfaces
 from tests import support
-from tests.patient.bones import cut, turned
+from tests.meshes.femurs import built, hip, sized
+from tests.patient.bones import turned
 from tests.support import digest
-
-
-def hip(**values: Any) -> Femur:
-    """A femur with some parameters, of itself or of its stem, in mm and radians."""
-    numbers = {key: values.pop(key) for key in [*values] if key in Stem.model_fields}
-    stem = Stem().model_copy(update=numbers)
-    return Femur().model_copy(update=values | {"stem": stem})
-
-
-@cache
-def built(size: float, curved: bool = False, **values: Any) -> MeshData:
-    return femur.build(hip(**values), sized(size, curved))
-
-
-def sized(size: float, curved: bool = False, **values: Any) -> MeshOptions:
-    return MeshOptions(size=f"{size!r} mm", curved=curved, **values)
-
 
 # ------------------------------------------------------------------------------ exact surfaces
 
@@ -238,15 +211,6 @@ def test_swept_lines_leave_arcs_of_round_sections() -> None:
     assert edges.min() > edges.mean() / 6
 
 
-@pytest.mark.parametrize("around", [24, 28, 44])
-def test_femur_intact_surface_is_closed(around: int) -> None:
-    """Each edge of its surface is on two facets: lines on flat sides of the stem leave no hole."""
-    data = femur_intact.build(IntactFemur(), sized(6.0, around=around))
-    facets, _ = exterior_facets(data.cells)
-    edges = np.sort(facets[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
-
-
 def test_swept_lines_and_cells_through_cement_can_be_given() -> None:
     """Any number of lines, even an odd one; several cells through each layer."""
     data = femur.build(hip(), sized(6.0, True, around=13, through_cement=3))
@@ -266,32 +230,6 @@ def test_swept_coarser_mesh_has_larger_cells() -> None:
     assert sized(3.0, around=27).coarser(1.5).around == 18
     lengths = sized(3.0, around="1.2 mm", along="4 mm").coarser(1.5)
     assert (lengths.around, lengths.along) == pytest.approx((1.8, 6.0))
-
-
-# ------------------------------------------------------------------------------ reference body
-
-
-def test_reference_body_volumes_and_coordinates() -> None:
-    """Volume by region of straight rings about an ellipse, and linear mean value coordinates."""
-    turn = 2 * np.pi * np.arange(9) / 9
-    outline = np.stack([5 * np.cos(turn), 3 * np.sin(turn)], axis=1)
-    segments = (
-        reference_body.Segment(2, ("a", "b", "c")),
-        reference_body.Segment(3, ("d",)),
-    )
-    body = reference_body.make(outline, (2, 3), segments)
-    a, b, c = body.section[body.columns].transpose(1, 0, 2)
-    (p, q), (u, v) = (b - a).T, (c - a).T
-    areas = 0.5 * np.abs(p * v - q * u)
-    core = 0.5 * 9 * 15 * np.sin(2 * np.pi / 9)
-    volumes = np.bincount(body.region, weights=areas)
-    np.testing.assert_allclose(volumes, core * np.array([2, 2 * 3, 2 * 5, 3]), rtol=1e-9)
-    assert (body.names, set(body.slab[body.region == 3])) == (("a", "b", "c", "d"), {2, 3, 4})
-    sheared = outline + np.outer(outline[:, 1], [reference_body.SHEAR, 0.0])
-    inside = body.section[9 * len(body.rho) :]
-    inside = inside + np.outer(inside[:, 1], [reference_body.SHEAR, 0.0])
-    np.testing.assert_allclose(body.weights @ sheared, inside, atol=1e-12)
-    assert (body.weights > 0).all()
 
 
 def test_swept_needs_gmsh() -> None:
@@ -316,23 +254,6 @@ def test_swept_mesh_opens_in_gmsh_with_groups(tmp_path: Path) -> None:
     assert set(groups) == {*data.regions, *data.boundaries, *data.interfaces}
     for name in data.interfaces:
         assert len(groups[name][0]) == len(np.unique(interface_facets(data, name)[0]))
-
-
-# ------------------------------------------------------------------------------ shared shaft
-
-
-def test_femur_intact_shares_the_shaft_cells() -> None:
-    options = sized(6.0)
-    whole, operated = femur_intact.build(IntactFemur(), options), built(6.0)
-    normal, level = cut(hip())
-
-    def below(data: MeshData) -> set[tuple[tuple[float, ...], ...]]:
-        corners = data.points[data.cells]
-        kept = corners[(corners @ normal < level + 1e-5).all(axis=1)]
-        return {tuple(sorted(map(tuple, cell))) for cell in kept.tolist()}
-
-    assert below(whole) == below(operated)
-    assert len(below(whole)) > 3000
 
 
 # ------------------------------------------------------------------------------ first attempts
@@ -393,33 +314,6 @@ def test_swept_random_hips_mesh_as_companions() -> None:
             data = femur.build(hip(**values), options)
             worst = quality.sicn(data.points, data.cells).min()
             assert worst > 0.02, (values, size, curved)
-
-
-@pytest.mark.parametrize(
-    ("curved", "size"),
-    [(False, size) for size in (8.0, 7.0, 6.0, 5.01, 5.0, 4.0, 3.0, 2.5, 2.0)]
-    + [(True, size) for size in (8.0, 6.0, 5.0, 3.0)]
-    + [pytest.param(True, 2.0, marks=pytest.mark.slow)],
-)
-def test_femur_intact_cells_are_good(curved: bool, size: float) -> None:
-    data = femur_intact.build(IntactFemur(), sized(size, curved))
-    assert quality.quality_without_length(data.points, data.cells).min() > 0.07
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"head_radius": 18.0},
-        {"head_radius": 30.0},
-        {"cement_thickness": 7.0, "canal_widening": 2.0},  # lines without a layer, up to the head
-        {"resection": FemurResection(angle="0.87 rad")},
-    ],
-)
-def test_femur_intact_with_other_parameters_meshes_well(values: dict[str, object]) -> None:
-    geometry = IntactFemur().model_copy(update=values)
-    for size in (8.0, 5.0):
-        data = femur_intact.build(geometry, sized(size, False))
-        assert quality.quality_without_length(data.points, data.cells).min() > 0.08, size
 
 
 def test_swept_stem_of_any_length_meshes() -> None:

@@ -12,7 +12,9 @@ import mantle
 from app.case.case import load
 from app.numerics.remedies import solve
 from app.results.reading import Results
+from meshes.distribute import TaggedMesh
 from tests import support
+from tests.numerics.blocks import BLOCK
 
 
 def test_remedies_limits_of_friction_are_the_given_ones() -> None:
@@ -59,3 +61,24 @@ def test_remedies_find_the_same_equilibrium_beyond_the_critical_friction(
         motions.append(record["cement_bone slip_max [mm]"])
     assert (motions[0] > 0).all()
     np.testing.assert_allclose(motions[1], motions[0], rtol=1e-4)
+
+
+def test_remedies_return_to_sor_after_a_converged_step(tagged: TaggedMesh) -> None:
+    """Factors are for a Newton iteration that fails, not for all that come after it."""
+    problem, solver = support.assemble(support.case(BLOCK), tagged)
+    problem.set_time(1.0)
+    krylov = solve(solver).linear_iterations
+
+    def failing() -> bool:
+        solver.begin(1e-10)
+        solver.snes.setTolerances(max_it=0)
+        return not solve(solver).converged and solver.linear.factored
+
+    assert failing()
+    solver.snes.setTolerances(max_it=50)
+    assert solve(solver).converged and not solver.linear.factored
+    # What begins anew after a failure sweeps from the start.
+    assert failing()
+    solver.snes.setTolerances(max_it=50)
+    solver.begin(1e-10)
+    assert solve(solver).linear_iterations == krylov

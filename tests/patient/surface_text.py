@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import random
 import struct
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from app.patient import bone_surface, landmarks
 from app.patient.bone_surface import BoneSurface
+from tests.patient.bones import write
 
 Faces = Sequence[Sequence[int]]
 
@@ -103,3 +107,46 @@ def quads(surface: BoneSurface, above: float) -> tuple[Any, list[list[int]]]:
         ab, bc, ca = middle(a, b), middle(b, c), middle(c, a)
         faces += [[a, ab, centre, ca], [b, bc, centre, ab], [c, ca, centre, bc]]
     return np.array(points), faces
+
+
+def put(folder: Path, name: str, content: str | bytes) -> Path:
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def volume(corners: Any) -> float:
+    a, b, c = np.moveaxis(corners, 1, 0)
+    return float((np.cross(a, b) * c).sum() / 6)
+
+
+def damaged(rng: random.Random, content: bytes) -> bytes:
+    """A file cut, or with other bytes in it."""
+    for _ in range(rng.choice((1, 1, 2, 6))):
+        at = rng.randrange(len(content) + 1)
+        start = rng.randrange(min(400, len(content)) + 1)
+        match rng.randrange(6):
+            case 0:
+                content = content[:at]
+            case 1:
+                content = content[:at] + rng.randbytes(rng.randint(1, 20)) + content[at:]
+            case 2:
+                content = content[:at] + rng.randbytes(4) + content[at + 4 :]
+            case 3:
+                content = content[:start] + rng.randbytes(1) + content[start + 1 :]
+            case 4:
+                content = content[:start] + content[start + rng.randint(1, 30) :]
+            case 5:
+                word = rng.choice((b"-1 ", b"nan ", b"1e308 ", b"99999999999 ", b"\0\0\xff\x7f"))
+                content = content[:at] + word + content[at + len(word) :]
+    return content
+
+
+def judged(path: Path) -> tuple[BoneSurface, landmarks.Frame]:
+    surface = bone_surface.read(path)
+    return surface, landmarks.find(surface)
+
+
+def stl(folder: Path, corners: Any) -> Path:
+    points = corners.reshape(-1, 3)
+    return write(folder / "bone.stl", BoneSurface(points, np.arange(len(points)).reshape(-1, 3)))

@@ -27,7 +27,7 @@ def coarse(stems: tuple[Run, Run], tmp_path_factory: pytest.TempPathFactory) -> 
     return Run(folder)
 
 
-def test_difference_map_interpolation_is_exact_for_linear_values() -> None:
+def test_difference_maps_interpolation_is_exact_for_linear_values() -> None:
     """On two triangles of a square, whichever way they are turned; nan outside, off the surface."""
     corners = np.array([[[0, 0], [2, 0], [0, 4]], [[2, 0], [0, 4], [2, 4]]], dtype=float)
     surface = Interpolation(corners, 3 * corners[..., 0] - corners[..., 1] + 5)

@@ -214,27 +214,6 @@ def test_run_report_failure_begins_with_its_cause(done: Path, tmp_path: Path) ->
     assert '<span class="bad">not converged</span>' in html and "tried: plain Newton" in html
 
 
-def test_step_curves_begin_at_rest() -> None:
-    """Lengths vanish without loads; fractions and histories in seconds have no such point."""
-    titles = ("time [-]", "a slip_p99 [mm]", "a open_fraction [-]", "seconds [s]")
-    columns = {title: np.array([0.5, 1.0]) for title in titles[:3]}
-    panels = step_curves.over_time(columns, at_rest=True)
-    assert [panel.lines[0].x for panel in panels] == [[0.0, 0.5, 1.0], [0.5, 1.0]]
-    assert panels[0].lines[0].y == [0.0, 500.0, 1000.0]
-    assert curves.drawing(panels[1]).across[0] == (0.0, "0")
-    columns["seconds [s]"] = np.array([2.0, 3.0])
-    assert step_curves.over_time(columns, at_rest=True)[0].lines[0].x == [2.0, 3.0]
-
-
-def test_curves_drawing_wraps_title_and_starts_at_zero() -> None:
-    line = curves.Line("a", 0, [1.0, 2.0], [98.0, 99.0])
-    drawn = curves.drawing(curves.Panel("word " * 15, "MPa", [line]))
-    assert len(drawn.title) == 2 and max(map(len, drawn.title)) <= curves.TITLE
-    assert drawn.up[0] == (0.0, "0") and drawn.across[0] == (0.0, "1")
-    warm = curves.drawing(curves.Panel("temperature", "°C", [line]))
-    assert float(warm.up[0][1]) > 90
-
-
 def test_run_report_draws_all_cycles_after_cooling() -> None:
     written = {"time [-]": [1, 1.5, 2], "seconds [s]": [9] * 3, "stem subsidence [mm]": [1, 2, 3]}
     columns = {key: np.array(values) for key, values in written.items()}
@@ -343,43 +322,6 @@ def test_run_report_of_heat_and_mechanics(tmp_path: Path) -> None:
     assert (dead.value, dead.unit, dead.caption) == ("2,583", "mm³", "dead bone")
     assert dead.detail == "By the rule of 47 °C for 1 min. By other rules 0 to 4,000 mm³."
     assert (cured.value, cured.caption) == ("99.9", "least degree of cure of cement")
-
-
-@pytest.mark.parametrize(
-    ("numbers", "value", "error", "detail"),
-    [
-        ({"slip_p99": 0.0271, "slip_p99_error": 0.03}, "27.1", "± 30.0 µm (not resolved)",
-         "99 % of the surface slips less. It stays closed."),
-        ({"slip_p99": 0.002, "gap_p99": 0.0082, "gap_p99_error": 0.0095, "rim": {}}, "2.0", "",
-         "99 % of the surface without rim and tip slips less. 99 % is open by less than "
-         "8.2 ± 9.5 µm (not resolved)."),
-        ({"slip_p99": 0.002, "area_gap_over_30um": 1200, "area": 3000}, "2.0", "",
-         "99 % of the surface slips less. Open by more than 30 µm: 1,200 of 3,000 mm²."),
-        ({"slip_p99": 1e-6}, "0", "", ""),
-        ({"slip_p99": 0.1, "gap_p99": 0.2, "open_fraction": 1.0}, "200.0", "",
-         "99 % of the surface is closer. The sides touch nowhere."),
-    ],
-)  # fmt: skip
-def test_lead_has_slip_and_opening(
-    numbers: dict[str, Any], value: str, error: str, detail: str
-) -> None:
-    (number,) = lead.large_numbers({"interfaces": {"stem_cement": numbers}})
-    assert (number.value, number.error, number.detail) == (value, error, detail)
-
-
-def test_lead_takes_a_number_of_each_group() -> None:
-    """Of contact, stem and heat the first, in this order; a second one only if there is room."""
-    slip = {"slip_p99": 0.01}
-    numbers: dict[str, Any] = {
-        "interfaces": {"stem_cement": slip, "cement_bone": slip},
-        "stem": {"subsidence": 0.02},
-    }
-    captions = [number.caption for number in lead.large_numbers(numbers)]
-    both = ["slip of the stem in its cement", "slip of the cement on the bone"]
-    assert captions == [*both, "subsidence of the stem"]
-    numbers["thermal"] = {"regions": {"rod": {"temperature_max": 60.0}}}
-    captions = [number.caption for number in lead.large_numbers(numbers)]
-    assert captions == [both[0], "subsidence of the stem", "highest temperature of rod"]
 
 
 def test_run_report_of_heat_alone(tmp_path: Path) -> None:

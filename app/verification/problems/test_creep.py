@@ -134,7 +134,7 @@ def test_creep_taper(problem: KnownProblem) -> None:
     problem.expects(
         "subsidence of a taper by creep, against rings [mm], relative",
         tolerance=5e-3,
-        source="integration of rates (tests/verification/test_creep_forms.py)",
+        source="integration of rates (tests/verification/test_closed_forms_creep.py)",
     )
     solved = problem.solve("verification/creep_taper.yaml")
     sunk = solved.step_record["stem subsidence [mm]"]
