@@ -29,7 +29,9 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-HERE, CASE, OUTPUT = (Path(sys.argv[i]) for i in (1, 2, 4))
+HERE = Path(sys.argv[1])
+CASE = Path(sys.argv[2])
+OUTPUT = Path(sys.argv[4])
 DATA = YAML(typ="safe").load(CASE.read_text())
 LAW = "lower_upper"  # interface of the case
 PATIENCE = 60.0  # s

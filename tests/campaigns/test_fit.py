@@ -53,7 +53,10 @@ def means(friction: float, modulus: float, noise: float = 0.0) -> dict[str, floa
     return {key: value * (1 + noise * random.gauss()) for key, value in exact.items()}
 
 
-PRESSURE, SHEAR, SLIP = means(0.45, 3.0).values()
+MEASURED = means(0.45, 3.0)
+PRESSURE = MEASURED["pressure_mean"]
+SHEAR = MEASURED["shear_mean"]
+SLIP = MEASURED["slip_mean"]
 KEYS = f"""\
     {FRICTION}: {{low: 0.1, high: 0.9}}
     {MODULUS}: {{low: 1 GPa, high: 9 GPa, scale: logarithmic}}

@@ -85,7 +85,8 @@ def test_former_keys_version_of_a_case_is_written(tmp_path: Path) -> None:
     case = tmp_path / "case.yaml"
     case.write_text("base: blocks\n")
     config = mantle.load(case).config
-    assert config.mantle == former_keys.VERSION == Case.model_fields["mantle"].default
+    assert config.mantle == Case.model_fields["mantle"].default
+    assert former_keys.VERSION == Case.model_fields["mantle"].default
     assert dump(config).startswith("mantle: 1\n")
     for path in (CONFIGS / "start").iterdir():
         assert "\nmantle: 1 " in path.read_text(encoding="utf-8"), path.name

@@ -272,7 +272,8 @@ def test_launcher_two_set_ups_make_one_tree(tmp_path: Path) -> None:
     both = [set_up(tmp_path, EMPTY_TREE + "sleep 1\n") for _ in range(2)]
     output = "".join(process.communicate(timeout=60)[1] for process in both)
     assert "another set-up is running; waiting for it" in output
-    assert set_ups(tmp_path) == len(trees(tmp_path)) == 1
+    assert set_ups(tmp_path) == 1
+    assert len(trees(tmp_path)) == 1
 
 
 @as_root
@@ -344,7 +345,8 @@ def wheels(tmp_path: Path, **more: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_launcher_wheels_are_set_up_once(tmp_path: Path) -> None:
-    assert wheels(tmp_path).returncode == wheels(tmp_path).returncode == 0
+    assert wheels(tmp_path).returncode == 0
+    assert wheels(tmp_path).returncode == 0
     asked = (tmp_path / "log").read_text()
     (installed,) = re.findall("^-m pip install.*", asked, re.MULTILINE)
     assert set(packages.requirements("wheel")) <= set(installed.split())

@@ -465,7 +465,9 @@ def check_stance(s: dict[str, Any]) -> None:
 
 def check_intact(s: dict[str, Any]) -> None:
     """Bone alone; far below the head it bears what a beam under the same forces does."""
-    assert s["interfaces"] == s["stem"] == {} and "mantle" not in s
+    assert s["interfaces"] == {}
+    assert s["stem"] == {}
+    assert "mantle" not in s
     assert s["regions"].keys() == {"cortical_bone", "cancellous_bone"}
     assert all(q["interfaces"] == {} for q in s["gruen"].values())
     # Each point of the bone is in one zone of each view.

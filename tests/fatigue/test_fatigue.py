@@ -56,7 +56,8 @@ def test_fatigue_lives_by_two_laws() -> None:
         for law, life in zip(laws, known, strict=True):
             damage = sum(n * law.damage(s) for n, s in spectrum)
             assert 1 / damage == pytest.approx(life, rel=0.02)
-    assert Verdonschot().damage(0.0) == Murphy().damage(0.0) == 0
+    assert Verdonschot().damage(0.0) == 0
+    assert Murphy().damage(0.0) == 0
 
 
 @pytest.mark.parametrize("ratio", [0.0, 0.1, 0.5])

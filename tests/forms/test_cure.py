@@ -218,7 +218,8 @@ def test_cure_refuses_degrees_beyond_bounds() -> None:
 
 def test_cure_on_a_rank_without_nodes() -> None:
     result = setting(nodes=0).update(np.zeros(0), np.zeros(0), 1.0, 0.0)
-    assert len(result.degree) == len(result.by_temperature) == 0
+    assert len(result.degree) == 0
+    assert len(result.by_temperature) == 0
 
 
 # Time

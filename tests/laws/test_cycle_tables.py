@@ -127,7 +127,10 @@ def test_cycle_tables_by_name_or_file(tmp_path: Path) -> None:
         assert (angles.min(), angles.max()) == pytest.approx((least, most))
         assert angles[0] == pytest.approx(angles[-1])
     force = dict(zip(cycle_table.columns["time"], cycle_table.columns["force"], strict=True))
-    assert force[0.12] == force[0.5] == 3000 and force[0.62] == force[1.0] == 300
+    assert force[0.12] == 3000
+    assert force[0.5] == 3000
+    assert force[0.62] == 300
+    assert force[1.0] == 300
     assert "unverified: all motions" in preview.describe(
         config, {"regions": {"lower": {}, "upper": {}}}
     )

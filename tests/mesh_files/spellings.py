@@ -22,8 +22,10 @@ from meshes.data import MeshData, boundary_areas, region_volumes
 # The box is 3 x 4 x 7 mm, bone to z = 5 mm.
 X = 3.0
 Y = 4.0
-LEVELS = (0.0, 5.0, 7.0)
-BOTTOM, JOINT, TOP = LEVELS
+BOTTOM = 0.0
+JOINT = 5.0
+TOP = 7.0
+LEVELS = (BOTTOM, JOINT, TOP)
 AREA = X * Y
 VOLUMES = {"bone": AREA * JOINT, "cement": AREA * (TOP - JOINT)}
 # The free faces of bone, and of both.
@@ -51,7 +53,8 @@ def box() -> tuple[np.ndarray, np.ndarray]:
     return points, np.array(cells)
 
 
-POINTS, CELLS = box()
+POINTS = box()[0]
+CELLS = box()[1]
 
 
 def build(path: Path, text: str | bytes, **keys: object) -> MeshData:

@@ -109,7 +109,8 @@ def test_integrator_state_parts_are_neither_missing_nor_shared() -> None:
     y = [np.ones(2), np.zeros(0)]
     done = step(SDIRK4, y, [np.zeros(2), np.zeros(0)], 0.1, 0.0, lambda s, *_: [v / 2 for v in s])
     assert done is not None
-    assert [len(v) for v in done.state] == [len(v) for v in done.error] == [2, 0]
+    assert [len(v) for v in done.state] == [2, 0]
+    assert [len(v) for v in done.error] == [2, 0]
     assert np.array_equal(y[0], np.ones(2))
 
 

@@ -119,19 +119,27 @@ def test_layering_modules_do_not_import_test_modules(path: Path) -> None:
     assert not {name for name in names if name == "conftest" or name.startswith("test_")}
 
 
+# Folders in which a file is named after a behaviour that spans modules.
+BEHAVIOURS = ("command_line", "demos", "parallel", "project", "robustness", "verification")
+
+
 @all_of("tests")
 def test_layering_tests_are_named_after_modules(path: Path) -> None:
     """`pytest -k krylov` finds the tests of `krylov.py`."""
-    modules = {file.stem for file in MODULES.values()}
-    subject = path.stem.removeprefix("test_")
-    singular = subject.removesuffix("s")
-    if subject not in modules:
+    if not path.name.startswith("test_"):
         return
-    for node in tree(path).body:
-        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
-            name = node.name.removeprefix("test_")
-            named_after = any(name.startswith(f"{stem}_") for stem in modules)
-            assert singular in name or named_after, node.name
+    package = path.parent.name
+    modules = {file.stem for file in MODULES.values() if file.parent.name == package}
+    if package not in BEHAVIOURS:
+        subject = path.stem.removeprefix("test_")
+        named_after = (name for name in (*modules, package) if f"{subject}_".startswith(f"{name}_"))
+        assert list(named_after), "no module of this name in the package"
+    tests = [
+        node.name
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")
+    ]
+    assert [name for name in tests if not name.startswith(f"{path.stem}_")] == []
 
 
 def test_layering_files_of_the_map_exist() -> None:
@@ -184,7 +192,7 @@ def test_layering_meshes_import_only_foundation_and_mesh_files(path: Path) -> No
 
 @all_of("app")
 def test_layering_no_branches_by_kind_of_law(path: Path) -> None:
-    """They answer for themselves; what a law needs of the solver stack it imports when asked."""
+    """No file matches classes of laws. The solver does not import the case."""
     laws = {
         alias.asname or alias.name
         for node in ast.walk(tree(path))

@@ -32,7 +32,9 @@ def test_gruen_stress_shielding_is_relative_to_the_intact_femur(
     assert [*tables] == ["Bone", "cement-bone interface", "stem-cement interface"]
     assert tables["Bone"][1][6] == ["7 (frontal)", "21"]
     head, rows = tables["stem-cement interface"]
-    assert len(rows) == 14 and len(head) == len(rows[0]) == 1 + 1
+    assert len(rows) == 14
+    assert len(head) == 1 + 1
+    assert len(rows[0]) == 1 + 1
     assert rows[6][:2] == ["7 (frontal)", "20.0 / 10.0"] and rows[7][0] == "8 (lateral)"
     monkeypatch.setattr(pictures, "ends", lambda s: [(c.name, c) for c in s.cases[1::2]])
     page = sweep_report.run(maker.folder)[0][0].read_text()

@@ -109,7 +109,8 @@ def test_balance_of_a_growing_bar(
     assert not judged(model), (model.balance.force, model.balance.energy)
 
 
-SMOOTH, ROUGH = (f"contact, friction_coefficient: {mu}" for mu in (0, 0.4))
+SMOOTH = "contact, friction_coefficient: 0"
+ROUGH = "contact, friction_coefficient: 0.4"
 LOOSE = "supports.top.boundary=bottom"
 
 

@@ -126,7 +126,8 @@ def offsets_are_zero(root):
     assert (steps["NumberOfParts"][:] == 1).all()
     for name in ("PartOffsets", "PointOffsets", "CellOffsets", "ConnectivityIdOffsets"):
         assert not steps[name][:].any() and len(steps[name]) == steps.attrs["NSteps"]
-    assert steps["CellOffsets"].ndim == steps["ConnectivityIdOffsets"].ndim == 2
+    assert steps["CellOffsets"].ndim == 2
+    assert steps["ConnectivityIdOffsets"].ndim == 2
 
 
 def strips_are_whole(root, steps):

@@ -205,7 +205,8 @@ def test_slurm_killed_batch_is_resumed(tmp_path: Path) -> None:
     assert f"[{CASES}/{CASES}]" in printed and "failed" not in printed
     assert queue() == {}
     solved = [line.split()[0] for line in calls(tmp_path) if line.endswith(" 0 solved")]
-    assert len(solved) == CASES == len(set(solved))
+    assert len(solved) == len(set(solved))
+    assert CASES == len(set(solved))
     # Those that were left in the queue were submitted again, and were finished already.
     others = [line for line in calls(tmp_path) if not line.endswith(" 0 solved")]
     assert others and all(line.endswith(" 0 finished") for line in others)

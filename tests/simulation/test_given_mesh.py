@@ -77,7 +77,9 @@ def test_given_mesh_is_gathered_as_it_was_distributed() -> None:
     for curved in (False, True):
         data = mantle.mesh(mantle.load(CONFIGS / "cylinders.yaml", **{"mesh.curved": curved}))
         gathered = gather(distribute(data, MPI.COMM_SELF))
-        assert gathered is not None and gathered.curved == curved == data.curved
+        assert gathered is not None
+        assert gathered.curved == data.curved
+        assert curved == data.curved
         assert gathered.boundaries == data.boundaries and gathered.interfaces == data.interfaces
         for measure in (mesh_data.region_volumes, mesh_data.boundary_areas):
             assert measure(gathered) == pytest.approx(measure(data), rel=1e-12)

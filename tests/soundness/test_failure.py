@@ -28,7 +28,9 @@ def test_failure_states_that_repeat_are_a_cycle() -> None:
     active.add(np.array([2, 2, 1, 1]))
     assert active.period() == 0
     active.forget()
-    assert active.changes() == active.period() == 0 and active.oscillating() == []
+    assert active.changes() == 0
+    assert active.period() == 0
+    assert active.oscillating() == []
 
 
 def test_failure_message_names_places_states_and_remedies(caplog: pytest.LogCaptureFixture) -> None:

@@ -77,7 +77,8 @@ def judged(text: str, *overrides: str) -> list[str]:
 
 
 def test_well_posedness_sliding_holds_a_body_with_coincident_nodes() -> None:
-    assert judged(BALL) == judged(BLOCK) == []
+    assert judged(BALL) == []
+    assert judged(BLOCK) == []
 
 
 def test_well_posedness_sliding_rigid_body_needs_a_motion() -> None:
@@ -86,7 +87,8 @@ def test_well_posedness_sliding_rigid_body_needs_a_motion() -> None:
     ):
         judged(BLOCK, "motions={}")
     held = "supports.top={kind: fixed, boundary: plate_top}"
-    assert judged(BLOCK, "motions={}", held) == judged(BALL, SMOOTH, TURN) == []
+    assert judged(BLOCK, "motions={}", held) == []
+    assert judged(BALL, SMOOTH, TURN) == []
 
 
 @pytest.mark.parametrize(

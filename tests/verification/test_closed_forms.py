@@ -18,7 +18,9 @@ from app.verification import closed_forms as exact
 from tests.verification.differences import STEP, slope
 
 CASES = Path(__file__).resolve().parents[2] / "configs" / "verification"
-CEMENT, STEM = (2200.0, 0.3), (110e3, 0.3)
+# Young's modulus [MPa] and Poisson's ratio.
+CEMENT = (2200.0, 0.3)
+STEM = (110e3, 0.3)
 
 Field = Callable[[np.ndarray], np.ndarray]
 
@@ -155,7 +157,8 @@ def test_closed_forms_foundation_bar() -> None:
 
 PRESS_FITS = [(0.01, 7.0, 7.0 + t, STEM, CEMENT) for t in (2, 3, 4, 5, 7)]
 MODULUS = exact.contact_modulus(CEMENT)
-LINE, BALL = exact.hertz_line(100, 10, MODULUS), exact.hertz_point(100, 10, MODULUS)
+LINE = exact.hertz_line(100, 10, MODULUS)
+BALL = exact.hertz_point(100, 10, MODULUS)
 PENALTIES = {1e2: 6.875e-3, 1e3: 1.803e-3, 1e4: 2.153e-4, 1e5: 2.195e-5, 1e6: 2.2e-6, 1e8: 2.2e-8}
 
 
@@ -178,7 +181,7 @@ PENALTIES = {1e2: 6.875e-3, 1e3: 1.803e-3, 1e4: 2.153e-4, 1e5: 2.195e-5, 1e6: 2.
         ([BALL.a, BALL.p0, BALL.approach], [0.676955, 104.1889, 0.0458268], 2e-6),
         ([exact.stick_half_width(1.0, 0.5 * 0.3 * 50, 50, 0.3)], [math.sqrt(0.5)], 1e-12),
         ([exact.push_up(0.1, 0.3)], [0.412371], 2e-6),
-        # Physics reference 5.7; by trying all states: `soundness/test_failure_critical_friction.py`.
+        # Physics reference 5.7; all states: `soundness/test_failure_critical_friction.py`.
         ([exact.particle_friction(1, w) for w in (0.8, -0.8)], [1.25, 1.25], 1e-14),
         (
             [exact.penalty_penetration(220, 0.01, r) for r in PENALTIES],

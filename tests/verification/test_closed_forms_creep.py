@@ -11,7 +11,10 @@ from scipy.integrate import solve_ivp
 from app.verification import closed_forms as exact
 from app.verification import closed_forms_long_term as creep
 
-A, P, M0, M1 = creep.CEMENT
+A = creep.CEMENT[0]
+P = creep.CEMENT[1]
+M0 = creep.CEMENT[2]
+M1 = creep.CEMENT[3]
 
 
 def test_closed_forms_creep_laws_have_published_values() -> None:

@@ -16,7 +16,9 @@ from app.verification import closed_forms_heat as exact
 from app.verification.closed_forms import Layers, lame_pressure
 from tests.verification.differences import slope
 
-CEMENT, CORTICAL = (0.2, 1.74), (0.58, 2.331)
+# Conductivity [mW/(mm K)] and heat capacity [mJ/(mm3 K)].
+CEMENT = (0.2, 1.74)
+CORTICAL = (0.58, 2.331)
 PMMA = exact.ExactKinetics(2.6397e8, 62866.0, 0.98, 1.064)
 RISE = 89.0805
 
@@ -144,7 +146,10 @@ def test_closed_forms_heat_isothermal_cure() -> None:
     assert 1 / (1 + (1 / 1e-3 - 1) * math.exp(-k * t50)) == pytest.approx(0.5, rel=1e-9)
 
 
-STEM, MANTLE, BONE = (200e3, 0.3), (2200.0, 0.3), (17e3, 0.3)
+# Young's modulus [MPa] and Poisson's ratio.
+STEM = (200e3, 0.3)
+MANTLE = (2200.0, 0.3)
+BONE = (17e3, 0.3)
 
 
 def cooled(joined: tuple[bool, bool]) -> Layers:

@@ -109,7 +109,8 @@ def test_geometry_stems_of_the_thickness_sweep_share_a_cavity() -> None:
     """To the difference of 1 / cos of the taper: 2 mm times 0.0009."""
     _, planned = sweep.read(Path(__file__).parents[2] / "configs/sweeps/thickness.yaml")
     shared = [c.case.geometry for c in planned if c.point.part == "cavity"]
-    assert len({g.cement_thickness for g in shared}) == len(shared) == 4
+    assert len({g.cement_thickness for g in shared}) == 4
+    assert len(shared) == 4
     for z in (-118.0, -50.0, 20.0):
         outlines = [
             femur_stem.shaft_of(g.implant).offset(g.cement_thickness).section(z) for g in shared

@@ -229,7 +229,8 @@ def test_suite_selection_keeps_results_of_the_whole_suite(
     assert suite.run("verify", Options(out, 1, "a"))
     assert suite.run("verify", Options(out, 1, tier="quick"))
     assert suite.run("verify", Options(out, 1, tier="long"))
-    assert [*rows(out, "verify-a")] == [*rows(out, "verify-quick")] == ["a"]
+    assert [*rows(out, "verify-a")] == ["a"]
+    assert [*rows(out, "verify-quick")] == ["a"]
     assert [*rows(out)] == ["a", "b"]
     assert [*rows(out, "verify-long")] == ["a", "b", "c"]
     assert {name: (out / name).read_bytes() for name in before} == before
