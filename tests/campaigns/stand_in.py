@@ -51,7 +51,7 @@ def note(name: str, *words: object) -> None:
 
 
 def wait() -> None:
-    """Take the time asked for; wait for others to run beside this, or for a file."""
+    """Sleep for the requested time; wait for runs at the same time, or for a file."""
     running, met, end = HERE / "running", HERE / "met", time.monotonic() + PATIENCE
     running.mkdir(exist_ok=True)
     (running / OUTPUT.name).touch()

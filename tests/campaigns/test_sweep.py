@@ -1,4 +1,4 @@
-"""``mantle sweep``: who runs with whom, what is run again, its tables."""
+"""``mantle sweep``: groups of cases, repeated runs, tables."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def cases_of(folder: Path) -> list[dict[str, Any]]:
 def test_sweep_cases_share_processes_and_have_a_row_each(
     bench: Bench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Two moduli: two processes with four cases each, which are those of the sweep."""
+    """Two moduli give two processes with four cases each."""
     caplog.set_level(logging.INFO, "mantle")
     overrides = ["regions.upper.poisson_ratio=0.4", "output.error=true"]
     run(bench, *overrides)
@@ -100,7 +100,7 @@ def test_sweep_table_grows_while_cases_run(bench: Bench, monkeypatch: pytest.Mon
 
 @pytest.mark.parametrize("code", ["5", "1"])
 def test_sweep_interrupted_has_its_table_and_resumes(code: str, bench: Bench) -> None:
-    """Nothing is left running, and what is done is not run again.
+    """No process stays, and finished runs are not repeated.
 
     Python that is interrupted before it has started leaves with 1.
     """
@@ -186,7 +186,7 @@ def test_sweep_dry_run_estimates_time_on_cores(
     ranks: int,
     each: int,
 ) -> None:
-    """Eight cases of half a minute of one core, on two: two minutes and some idling at the end."""
+    """Eight cases of half a minute take two minutes on two cores, and some idle time."""
     caplog.set_level(logging.INFO, "mantle")
     monkeypatch.setattr(cost, "seconds", lambda case, alone: 30.0)
     sweep.run(bench.sweep, [f"ranks={ranks}"], Options(bench.out, 2, dry_run=True))
@@ -207,7 +207,7 @@ def shared_jobs(bench: Bench, number: int, ranks: int = 1) -> list[PlannedRun]:
     ("cores", "ranks", "sizes"), [(1, 1, [20]), (8, 2, [5] * 4), (64, 1, [1] * 20)]
 )
 def test_sweep_groups_use_all_cores(bench: Bench, cores: int, ranks: int, sizes: list[int]) -> None:
-    """Cases of one mesh share their matrices; what has begun stays where its state is."""
+    """Cases of one mesh share their matrices. A run that has begun resumes in the same group."""
     jobs = shared_jobs(bench, 20, ranks)
     runs = runs_of(jobs, bench.out, cores)
     assert list(Counter(r.process for r in runs).values()) == sizes
@@ -221,7 +221,7 @@ def test_sweep_groups_use_all_cores(bench: Bench, cores: int, ranks: int, sizes:
 
 @pytest.mark.parametrize("saved", ["checkpoint-3.state", "DONE"])
 def test_sweep_ignores_foreign_folders(bench: Bench, saved: str) -> None:
-    """A folder that somebody has left there is none of the runs, whatever its end is."""
+    """A folder that is not of the sweep is none of its runs, even if it has finished."""
     jobs = shared_jobs(bench, 2)
     expected = [r.path for r in runs_of(jobs, bench.out, 1)]
     for folder in expected:
@@ -254,9 +254,10 @@ sweep.run(Path(sys.argv[1]), (), Options(Path(sys.argv[2]), 2))
 
 
 def test_sweep_resumes_after_kills(bench: Bench) -> None:
-    """Killed at random moments it keeps what it has, and ends with everything done.
+    """A sweep killed at random moments keeps finished runs, and ends with all runs done.
 
-    Twice with all that it runs, as if the power failed, and once alone: what is left is waited for.
+    Two kills end all processes, like a power failure. One kill ends the sweep alone, and the sweep
+    waits for the remaining runs.
     """
     bench.tell(seconds="0.3")
 
@@ -291,7 +292,10 @@ def test_sweep_resumes_after_kills(bench: Bench) -> None:
 
 @pytest.mark.slow
 def test_sweep_shipped_for_learning(tmp_path: Path) -> None:
-    """As shipped, but on a coarse mesh: friction holds the stem back, the mantle's modulus less."""
+    """The shipped sweep has a coarse mesh here. Shear stress grows with friction.
+
+    The modulus of the mantle matters less.
+    """
     path = support.ROOT / "configs" / "sweeps" / "friction_cylinders.yaml"
     overrides = ["mesh.size=6 mm", "mesh.far_size=6 mm", "mesh.order=1", "stages.1.increments=1"]
     sweep.run(path, overrides, Options(tmp_path, 2))

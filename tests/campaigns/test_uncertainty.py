@@ -13,7 +13,7 @@ from app.case.points import Sobol, UncertainInputs
 
 
 def test_uncertainty_spread_and_cause_of_samples() -> None:
-    """A number that grows with one input and not with the other; ranks by hand."""
+    """A number grows with one input and is independent of the other. Ranks are by hand."""
     a, b = [0.1, 0.2, 0.3, 0.4, 0.5], [2, 5, 1, 4, 3]
     rows = [
         {
@@ -38,7 +38,10 @@ def test_uncertainty_spread_and_cause_of_samples() -> None:
 
 
 def test_uncertainty_of_choices() -> None:
-    """Of ranks, 1.5 of 17.5 is left within three pairs, 16 within two triples; 3, 4 and 5 d.o.f."""
+    """Of a variance of ranks of 17.5, 1.5 is within three pairs and 16 within two triples.
+
+    Degrees of freedom are 3, 4 and 5.
+    """
     pairs = [{"kind": name} for name in "aabbcc"]
     assert uncertainty.correlation([1, 2, 3, 4, 5, 60], pairs) == pytest.approx((6 / 7) ** 0.5)
     assert uncertainty.correlation([1, 3, 5, 2, 4, 6], [*"xxxyyy"]) == 0.0
@@ -60,7 +63,10 @@ def ishigami(samples: int) -> tuple[list[dict[str, Any]], UncertainInputs]:
 
 
 def test_uncertainty_sobol_indices_of_a_known_function() -> None:
-    """Of Ishigami's function (1990): first 0.314, 0.442, 0; total 0.558, 0.442, 0.244."""
+    """Ishigami's function (1990) has the first indices 0.314, 0.442, 0.
+
+    The total ones are 0.558, 0.442, 0.244.
+    """
     rows, samples = ishigami(1024)
     assert len(rows) == 1024 * 5
     spread = uncertainty.of_parts(rows, {"": samples})[""]
@@ -79,7 +85,7 @@ def test_uncertainty_sobol_indices_of_a_known_function() -> None:
 
 
 def test_uncertainty_sobol_indices_without_failed_runs() -> None:
-    """A failed run takes its base sample away; the largest power of two of the others is used."""
+    """A failed run removes its base sample. The largest power of two of the others is used."""
     rows, samples = ishigami(32)
     rows[7]["exit_code"] = 4
     spread = uncertainty.of_parts(rows, {"": samples})[""]
@@ -90,7 +96,7 @@ def test_uncertainty_sobol_indices_without_failed_runs() -> None:
 
 
 def test_uncertainty_partial_rank_correlation() -> None:
-    """Of three ranked columns: (r_xy - r_xz r_yz) / sqrt((1 - r_xz^2) (1 - r_yz^2))."""
+    """Three ranked columns have (r_xy - r_xz r_yz) / sqrt((1 - r_xz^2) (1 - r_yz^2))."""
     y, x, z = [1, 2, 3, 5, 4, 6], [2, 1, 3, 4, 6, 5], [3, 1, 2, 6, 5, 4]
     xy, xz, yz = (
         1 - 6 * sum((a - b) ** 2 for a, b in zip(*p, strict=True)) / 210

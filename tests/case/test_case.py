@@ -72,7 +72,7 @@ def test_case_defaults_are_filled_in(two_blocks: str) -> None:
 
 @pytest.mark.parametrize("change", ["={kind: rigid}", ".kind=rigid", ".rigid=true"])
 def test_case_region_is_rigid_by_its_kind(two_blocks: str, change: str) -> None:
-    """Moduli go with the old kind; the tissue stays."""
+    """The moduli of the former kind are dropped; the tissue stays."""
     text = two_blocks.replace("{rigid: true}", "{material: PMMA, tissue: cement}")
     region = support.case(text, f"regions.upper{change}").regions["upper"]
     assert isinstance(region, Rigid)
@@ -133,7 +133,7 @@ def test_case_titles_of_variations_and_sweeps_differ(tmp_path: Path) -> None:
 
 
 def test_case_title_does_not_change_its_identity(tmp_path: Path) -> None:
-    """A value that equals that of the file, given as an option, is the same case."""
+    """An option that repeats the value of the file leaves the case the same."""
     same = ("geometry.cement_thickness=4 mm",)
     jobs = [PlannedRun.load("a", STANCE), PlannedRun.load("b", STANCE, same)]
     one, two = runs_of(jobs, tmp_path, 1)
@@ -173,7 +173,7 @@ def test_case_length_of_a_stem_moves_its_tip(key: str, length: float) -> None:
 
 
 def test_case_former_keys_of_a_stem_are_read_with_a_note() -> None:
-    """Levels of the model: 15 mm and 54 mm without a key, the shoulder at -101 + 130 = 29 mm."""
+    """Levels are 15 mm and 54 mm without a key; the shoulder is at -101 + 130 = 29 mm."""
     old = {"stem_length": "130 mm", "stem_tip_z": "-101 mm", "stem_section_z": "20 mm"}
     old |= {"head_height": "60 mm", "neck_diameter": "12 mm"}
     case = mantle.load(CONFIGS / "stance.yaml", **{f"geometry.{k}": v for k, v in old.items()})

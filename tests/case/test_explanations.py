@@ -1,4 +1,4 @@
-"""Texts of ``mantle explain``: the words that an engineer types, keys, units."""
+"""Texts of ``mantle explain`` for words that engineers type, for keys and for units."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A geometry and a modulus field that a user's module adds, without touching a file."""
+"""A geometry and a modulus field of a user's module, without a change of the program."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ loads: {push: {kind: pressure, boundary: top, pressure: 5 MPa}}
 
 
 def test_geometries_from_outside_with_a_modulus_field_is_solved(tmp_path: Path) -> None:
-    """With E = E0 (1 + z/h) and without Poisson's ratio u(h) = -p h ln 2 / E0.
+    """The modulus is E0 (1 + z/h) without Poisson's ratio, so u(h) = -p h ln 2 / E0.
 
     The file of the geometry is relative to the folder of the base.
     """

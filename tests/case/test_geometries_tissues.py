@@ -1,4 +1,4 @@
-"""Tissues of regions: bone, cement, implant or other, under any name."""
+"""Tissues of regions under any name: bone, cement, implant or other."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ loads: {press: {kind: pressure, boundary: top, pressure: 1 MPa}}
     [("stance", ["cortical_bone", "cancellous_bone"]), ("cylinders", ["bone"])],
 )
 def test_geometries_tissues_of_shipped_geometries(name: str, bones: list[str]) -> None:
-    """Unless a case says otherwise; blocks are neither bone nor implant unless they say so."""
+    """A key of the case replaces the tissue. Blocks are neither bone nor implant by default."""
     case = load(CONFIGS / f"{name}.yaml", [f"regions.{bones[0]}.tissue=other"]).config
     tissues = dict.fromkeys(bones, "bone") | {"stem": "implant", "cement": "cement"}
     assert {n: r.tissue for n, r in case.regions.items()} == tissues | {bones[0]: "other"}
@@ -70,7 +70,7 @@ def test_geometries_tissues_of_a_mesh_file_are_required(tmp_path: Path) -> None:
 
 
 def test_geometries_tissues_come_from_library_materials(tmp_path: Path) -> None:
-    """The library has the tissue of a material; the tissue of the region comes before it."""
+    """A material of the library has a tissue. The tissue of the region comes before it."""
     stack = support.case(STACK)
     meshes.write_msh(meshes.build(stack.geometry, stack.mesh), tmp_path / "a.msh")
     text = STACK[STACK.index("regions:") :].replace(", tissue: bone}", ", tissue: other}")
@@ -101,7 +101,7 @@ def test_geometries_tissues_come_from_library_materials(tmp_path: Path) -> None:
 @pytest.mark.parametrize("mesh", ["", "mesh: {}", "mesh: {order: 1}"])
 @pytest.mark.parametrize("name", ["blocks.yaml", "sliding_block.yaml"])
 def test_geometries_tissues_mesh_size_is_required(name: str, mesh: str, tmp_path: Path) -> None:
-    """Of a script of gmsh, too."""
+    """A script of gmsh needs a mesh size too."""
     text = re.sub(r"^mesh:.*\n(  .*\n)*", f"{mesh}\n", (CONFIGS / name).read_text(), flags=re.M)
     path = tmp_path / "case.yaml"
     path.write_text(text.replace("sliding_block.geo", str(CONFIGS / "sliding_block.geo")))
@@ -114,7 +114,7 @@ def test_geometries_tissues_mesh_size_is_required(name: str, mesh: str, tmp_path
 
 
 def test_geometries_tissues_implant_moves_relative_to_bone() -> None:
-    """Under 1 MPa all strain by 1 %: what is between nail and cortex is 2 mm, less 0.02 mm."""
+    """A strain of 1 % under 1 MPa changes the 2 mm between nail and cortex by 0.02 mm."""
     solved = support.solve(STACK)
     motion = StemMotion(solved.problem, solved.case)(solved.case.side)
     assert motion["subsidence"] == pytest.approx(0.02, rel=1e-9)
@@ -125,7 +125,10 @@ def test_geometries_tissues_implant_moves_relative_to_bone() -> None:
 
 
 def test_geometries_tissues_necrosis_counts_bone_alone() -> None:
-    """Bone above at 80 degC for two minutes is dead; cement below it, called bone, cannot be."""
+    """The upper block is bone at 80 degC for two minutes, and dead.
+
+    The lower one is cement, which cannot die.
+    """
     tagged = two_blocks(MPI.COMM_SELF)
     forms = HeatForms(tagged, BODIES, Timing())
     play = Play(tagged, constant(60.0), constant(80.0))

@@ -1,4 +1,4 @@
-"""Keys of hips that do nothing beside others: each is said, and no other one."""
+"""Keys of hips without effect are noted, and no others."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ SCENES: dict[str, tuple[type[OperatedHip], dict[str, Any]]] = {
 
 
 def keys_of(model: type[BaseModel], above: str = "") -> Iterator[str]:
-    """Leaves of a section, of the first kind where there are several."""
+    """Leaves of a section, of the first kind if there are several."""
     for name, field in model.model_fields.items():
         if name == "kind":
             continue

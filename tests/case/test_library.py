@@ -64,7 +64,10 @@ def test_library_entries_have_sources_and_are_valid(tmp_path: Path) -> None:
 
 
 def test_library_source_is_removed_with_changed_values(tmp_path: Path) -> None:
-    """By an override, a case above or a key beside the name; not by where or when a load acts."""
+    """An override, a case above or a key next to the name removes the source.
+
+    A place or a time of a load does not.
+    """
     text = """\
 base: blocks.yaml
 regions: {upper: {material: PMMA}, lower: {material: PMMA, youngs_modulus: 2 GPa}}
@@ -185,7 +188,7 @@ def test_library_refuses_bad_files(name: str, message: str, tmp_path: Path) -> N
 def test_library_body_weight_in_other_units_is_noted(
     tmp_path: Path, file: str, override: str, kilograms: int
 ) -> None:
-    """The weight that counts is that of the option."""
+    """The body weight of the option counts."""
     path = write(tmp_path, case=f"base: stance\nloads: {{library: gait, body_weight: {file}}}\n")
     overrides = [f"loads.body_weight={override}"] if override else []
     notes = [verdict.text for verdict in overlay.read(path, overrides).notes]
@@ -194,7 +197,10 @@ def test_library_body_weight_in_other_units_is_noted(
 
 
 def test_library_body_weight_and_tilt_change_forces(tmp_path: Path) -> None:
-    """In the order given; turns about x add up, and a force beside them stays as it is."""
+    """Body weight and tilt apply in the given order. Rotations about x add up.
+
+    A given force stays.
+    """
     hip = loaded(tmp_path, "base: stance\nloads: {library: walking_hip}\n").loads["hip"].force
     text = (
         "base: stance\nloads: {library: walking_hip, body_weight: 1.2 kN, sagittal_tilt: 30 deg}\n"
@@ -236,7 +242,7 @@ def test_library_history_of_all_loads(tmp_path: Path) -> None:
 
 
 def test_library_cycle_table_of_all_loads(tmp_path: Path) -> None:
-    """All forces follow one course; body weight and direction stay those of the set."""
+    """All forces follow one course. Body weight and direction stay those of the set."""
     keys = "library: gait, body_weight: 750 N, cycle_table: walking_cycle"
     case: Any = loaded(tmp_path, f"base: stance\nloads: {{{keys}}}\n")
     assert len(case.loads) == 5
@@ -285,7 +291,10 @@ def test_library_cycle_table_names_the_history_that_it_replaces(tmp_path: Path) 
 
 
 def test_library_walking_cycle_has_the_published_peaks() -> None:
-    """Bergmann 2001: 238 % of body weight, two peaks; their ratio as that of 757 other strides."""
+    """Bergmann 2001 has 238 % of body weight and two peaks.
+
+    Their ratio is that of 757 other strides.
+    """
     cycle = library.read().data["cycle_tables"]["walking_cycle"]
     table = CycleTable.model_validate({"rows": list(cycle["rows"])})
     assert cycle["status"] == "measured"

@@ -1,4 +1,4 @@
-"""Cases over others: bases, what null takes away, materials and loads by name, magnitudes."""
+"""Cases over others: bases, removal by null, errors at their place, magnitudes."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_overlay_paths_are_relative_to_their_file(
     ids=str,
 )
 def test_overlay_files_of_a_base_are_beside_it(keys: tuple[str | int, ...], tmp_path: Path) -> None:
-    """Whatever the key, a file of the same name beside the case is not taken."""
+    """A path in a base is relative to the base."""
     for folder in (tmp_path, tmp_path / "deep"):
         folder.mkdir(exist_ok=True)
         (folder / "file.dat").touch()
@@ -107,7 +107,7 @@ def test_overlay_another_kind_replaces_the_mapping(tmp_path: Path) -> None:
 
 
 def test_overlay_another_kind_has_no_places_of_the_former_one(tmp_path: Path) -> None:
-    """So an error in a default is placed at the section that chose the kind."""
+    """An error in a default is placed at the section that chose the kind."""
     text = "base: pressed\ngeometry: {kind: intact_femur}\n"
     places = overlay.read(write(tmp_path, case=text)).places
     assert ("geometry", "kind") in places and ("geometry", "stem", "length") not in places
@@ -259,7 +259,7 @@ def test_overlay_refuses_keys_that_a_base_lacks(text: str, message: str, tmp_pat
 
 
 def test_overlay_reports_errors_of_other_sections_too(tmp_path: Path) -> None:
-    """Missing entries cause no further errors: no forces for a body weight, no moduli."""
+    """Missing entries cause no further errors, such as missing forces for a body weight."""
     loads, mesh = "loads: {library: gaits, body_weight: 600 N}", "mesh: {ordr: 2}"
     text = f"base: blocks.yaml\n{loads}\n{mesh}\nregions: {{upper: {{material: Ti}}}}\n"
     path = write(tmp_path, blocks=BLOCKS, case=text)
@@ -272,7 +272,7 @@ def test_overlay_reports_errors_of_other_sections_too(tmp_path: Path) -> None:
 
 
 def test_overlay_reading_time_is_linear(tmp_path: Path) -> None:
-    """Each file is walked through once: nothing grows with the square of its size."""
+    """Each file is read once, so the time is proportional to its size."""
     names = "".join(f"  n{i}: {{material: PMMA, tissue: bone}}\n" for i in range(1500))
     path = write(tmp_path, blocks=BLOCKS, case=f"base: blocks.yaml\nregions:\n{names}")
     begin = time.process_time()
@@ -349,7 +349,7 @@ def test_overlay_loads_that_are_no_mapping_are_refused(loads: str, tmp_path: Pat
 
 
 def test_overlay_a_wrong_history_of_a_base_is_at_its_place(tmp_path: Path) -> None:
-    """A load's history that a common one replaces no longer has a place."""
+    """A history of a load has no place if a common history replaces it."""
     base = "base: stance\nloads: {hip: {history: [0, 1]}}\nstages: [{name: a}, {name: b}]\n"
     above = write(tmp_path, base=base, case="base: base.yaml\nloads: {history: [0, x]}\n")
     (text,) = messages(above)

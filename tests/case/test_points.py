@@ -1,4 +1,4 @@
-"""Points of sweeps and studies: how they are expanded, named and refused, each at its place."""
+"""Points of sweeps and studies: how they are combined and named, and errors at their place."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def test_points_of_a_latin_hypercube(samples: int, seed: int) -> None:
 
 
 def test_points_of_a_sobol_design() -> None:
-    """Each base sample has A, B, and A with each input of B; coordinates fill their range."""
+    """Each base sample has A, B, and A with each input of B. Coordinates fill their range."""
     inputs = {"a.low": {"low": 0, "high": 1}, "b.high": {"low": "1 mm", "high": "3 mm"}}
     design = {"samples": 16, "inputs": inputs}
     drawn = points.Sobol.model_validate(design).draw()
@@ -264,7 +264,7 @@ parts:
 
 
 def test_points_refuse_misplaced_sections(path: Path) -> None:
-    """The message tells what to do instead."""
+    """The message names the right section."""
     section, grid = STUDY[STUDY.index("study:") :], f"variations: {{grid: {{{FRICTION}: [1]}}}}\n"
     path.write_text(CASE + section + grid)
     with pytest.raises(InputError) as error:
@@ -307,14 +307,14 @@ parts:
     ],
 )
 def test_points_refuse_set_of_varying_keys(text: str, option: str, place: str, path: Path) -> None:
-    """Or the table would show values that were never used."""
+    """Otherwise the table would show values that were never used."""
     why = f"varies, but --set {option.split('=')[0]}"
     messages = [m for m in refused(path, text, option) if why in m]
     assert messages[0].startswith(place), messages
 
 
 def test_points_overrides_apply_to_every_case(path: Path) -> None:
-    """In place of what is under set."""
+    """Overrides replace values of ``set``."""
     path.write_text(SWEEP)
     for r in sweep_file.read(path, ["regions.upper.poisson_ratio=0.4", "ranks=2"])[1]:
         assert r.case.regions["upper"].poisson_ratio == 0.4 and r.ranks == 2
@@ -363,7 +363,10 @@ def test_points_of_shipped_files_are_valid(path: Path) -> None:
 
 
 def test_points_of_the_paper_are_complete() -> None:
-    """Figures 3 to 8 need so many cases; what friction changes alone shares a process."""
+    """Figures 3 to 8 need this number of cases.
+
+    Cases that differ in friction alone share a process.
+    """
     _, planned = sweep_file.read(support.CONFIGS / "sweeps" / "paper.yaml")
     stances = {
         (
@@ -384,7 +387,7 @@ def test_points_of_the_paper_are_complete() -> None:
 
 
 def test_points_of_the_cohort_have_the_library_mean() -> None:
-    """Hip forces for 600 N, whose mean is that of the set; scaled to their body weights."""
+    """Hip forces for 600 N, scaled to body weights, have the mean of the library's set."""
     path = support.CONFIGS / "sweeps" / "cohort.yaml"
     parts = yaml_file.read(path).data["parts"]
     cases = {p.name: p.case for p in sweep_file.read(path)[1]}

@@ -55,7 +55,7 @@ study:
 
 
 def test_quantities_from_outside_is_published(tmp_path: Path) -> None:
-    """3 MPa over 16 mm²; the energy is σ²/(2E) times 32 mm³."""
+    """The force is 3 MPa over 16 mm²; the energy is σ²/(2E) times 32 mm³."""
     summary, output = run(tmp_path, EXTENSION, PRESSED, "--error")
     interface = summary["interfaces"]["lower_upper"]
     assert interface["area_over_1MPa"] == pytest.approx(16, rel=1e-9)

@@ -15,7 +15,10 @@ from tests import support
 
 
 def test_section_loads_cortex_strain_is_that_of_a_beam() -> None:
-    """At z = -80 and -113: N / EA + M x / EI of the sections of cortex and cancellous bone."""
+    """The strain at z = -80 and -113 is N / EA + M x / EI.
+
+    The sections are those of cortex and cancellous bone.
+    """
     text = (support.CONFIGS / "intact.yaml").read_text()
     solved = support.solve(text, "mesh.size=10 mm", "mesh.around=8")
     numbers = of_femur(solved.problem, solved.case)
@@ -40,7 +43,10 @@ def test_section_loads_cortex_strain_is_that_of_a_beam() -> None:
 
 
 def test_section_loads_of_two_forces_by_hand() -> None:
-    """A hip force at (43, 0, 54) and a muscle at (-20, 10, -60), which only lower cuts bear."""
+    """A hip force acts at (43, 0, 54) and a muscle at (-20, 10, -60).
+
+    Only lower cuts bear the muscle.
+    """
     muscle = "{kind: force, boundary: psoas, at: [-20 mm, 10 mm, -60 mm], force: '[0, 50, 300] N'}"
     case = support.case(
         "base: intact\nloads: {library: walking_hip}\n",
@@ -67,7 +73,7 @@ def test_section_loads_of_two_forces_by_hand() -> None:
 
 @pytest.mark.parametrize("name", ["walking_hip", "standing_up_hip", "stairs_up_hip"])
 def test_section_loads_torsion_by_tilt_and_anteversion(name: str) -> None:
-    """With the head at 43 mm (cos a, sin a) and the force turned about x by the tilt."""
+    """The head is at 43 mm (cos a, sin a), and the force is turned about x by the tilt."""
     text = (support.ROOT / "docs/howto/loads.md").read_text()
     (row,) = re.findall(rf"^\| `{name}` \| (.*) \|$", text, re.MULTILINE)
     for cell, degrees in zip(row.split(" | "), [(0, 0), (8.4, 0), (0, 15), (8.4, 15)], strict=True):
@@ -86,8 +92,10 @@ SETS = ["one_leg_stance", "gait", "standing_up", "sitting_down", "stairs_up"]
 
 @pytest.mark.parametrize("name", SETS)
 def test_section_loads_of_sets_with_muscles_are_plausible(name: str) -> None:
-    """At the knee the line of action runs between shaft and head; 0.9 bodies stand on the leg, 1.04
-    when it walks."""
+    """The line of action passes between shaft and head at the knee.
+
+    The knee bears 0.9 body weights when standing and 1.04 when walking.
+    """
     case = support.case(f"base: stance\nloads: {{library: {name}}}\n")
     knee = section_loads(case, 1.0)[-1]
     assert knee.medial_of_shaft is not None and 0.0 < knee.medial_of_shaft < 43.0
@@ -101,7 +109,7 @@ def test_section_loads_of_sets_with_muscles_are_plausible(name: str) -> None:
 
 
 def test_section_loads_of_the_bench_test() -> None:
-    """2300 N at 10 and 9 degrees, 80 mm below a head at 43 mm."""
+    """A force of 2300 N acts at 10 and 9 degrees, 80 mm below a head at 43 mm."""
     case = support.case("base: iso_7206_4\n", "geometry.distal_cut_z=-204.5 mm")
     (at,) = (s for s in section_loads(case, 1.0) if s.z == -26.0)
     assert at.force[2] == pytest.approx(-2237.0, abs=0.5)
@@ -109,7 +117,7 @@ def test_section_loads_of_the_bench_test() -> None:
 
 
 def test_section_loads_equal_integrated_stress() -> None:
-    """Above the tip, through stem, cement and bone: means over 40 mm about the cut."""
+    """Cuts above the tip go through stem, cement and bone. Means are over 40 mm about the cut."""
     solved = support.solve(
         (support.CONFIGS / "stance.yaml").read_text(), "mesh.size=10 mm", "mesh.around=8"
     )

@@ -1,4 +1,4 @@
-"""Variations of a case in one run: what may vary, in which order, and that each is itself."""
+"""Variations of a case in one run: allowed keys, order, independence."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def written(tmp_path: Path, text: str) -> Path:
 
 
 def test_variations_star_is_every_name(tmp_path: Path) -> None:
-    """Of what the file lists: all loads grow together."""
+    """The star stands for all names of the file, so all loads grow together."""
     section = "variations: {twice: {'loads.*.history': [2, 2]}}\n"
     (twice,) = load(written(tmp_path, STEM + section)).variations
     assert [load.history for load in twice.case.loads.values()] == [(2, 2), (2, 2)]
@@ -51,7 +51,7 @@ def test_variations_star_is_every_name(tmp_path: Path) -> None:
 
 
 def test_variations_equal_cases_with_set(tmp_path: Path) -> None:
-    """Overrides of a variation, as options, on the case without variations."""
+    """Overrides of a variation act like options of the case without variations."""
     path = written(tmp_path, STEM + SECTION)
     variations = load(path, ["title=mine"]).variations
     assert [v.name for v in variations][:3] == ["as_is", "fit", "mu2_900"] and len(variations) == 8
@@ -64,7 +64,7 @@ def test_variations_equal_cases_with_set(tmp_path: Path) -> None:
 
 
 def test_variations_refuse_set_of_their_keys(tmp_path: Path) -> None:
-    """For every variation: as in sweeps and studies."""
+    """Sweeps and studies refuse such keys too."""
     path = written(tmp_path, STEM + SECTION)
     option = "interfaces.stem_cement={kind: contact, friction_coefficient: 0.5}"
     with pytest.raises(InputError) as caught:
@@ -138,7 +138,7 @@ CASES = {
 
 
 def test_variations_are_independent_of_order_and_company() -> None:
-    """Forward, backward and each alone."""
+    """Variations run forward, backward and each alone."""
     alone = {name: Runs().run(case) for name, case in CASES.items()}
     for names in (list(CASES), list(CASES)[::-1]):
         runs = Runs()
@@ -152,7 +152,7 @@ def test_variations_are_independent_of_order_and_company() -> None:
 
 
 def test_variations_with_scaled_loads_take_no_iterations() -> None:
-    """Contact with friction is homogeneous: from one load follow all, whatever the path."""
+    """Contact with friction is homogeneous, so all results follow from one load."""
     runs = Runs()
     u, iterations, numbers = runs.run(CASES["as_is"])
     assert len(iterations) == 3 and sum(iterations) > 5
@@ -171,7 +171,7 @@ def test_variations_with_scaled_loads_take_no_iterations() -> None:
 
 
 def test_variations_warm_start_saves_iterations() -> None:
-    """From its neighbours a friction coefficient takes far less than from rest."""
+    """A start from another coefficient of friction takes fewer iterations than one from rest."""
     runs = Runs()
     taken = [sum(runs.run(changed(f"{MU}={μ}"))[1]) for μ in (0.3, 0.35, 0.4, 0.45)]
     alone = sum(Runs().run(changed(f"{MU}=0.45"))[1])
@@ -179,7 +179,7 @@ def test_variations_warm_start_saves_iterations() -> None:
 
 
 def test_variations_companions_share_their_mesh() -> None:
-    """The error companion of a second variation is on the mesh and the matrices of the first's."""
+    """The error companion of the second variation has the mesh and matrices of the first."""
     runs = Runs()
     for override in (f"{MU}=0.4", f"{MU}=0.3"):
         runs.run(changed(override))
@@ -193,7 +193,7 @@ def test_variations_companions_share_their_mesh() -> None:
 
 
 def test_variations_of_conductance_in_coupled_cases() -> None:
-    """Mechanics are taken over, at rest and as cold as before the run."""
+    """The mechanics are reused, at rest and at the initial temperature."""
     key = "interfaces.lower_upper.conductance.per_pressure"
     cases = [
         support.case(coupled.CASE, f"{key}={value} W/(m^2 K MPa)", "stages[1].increments=2")

@@ -1,4 +1,4 @@
-"""``mantle check`` and the other commands that need no solver; how the command line fails."""
+"""``mantle check`` needs neither solver nor mesher; its notes on cases."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ print("loaded:", heavy & sys.modules.keys())
 
 
 def test_check_imports_neither_solver_nor_mesher() -> None:
-    """Processor time, which on an idle machine is the wall time: others may be busy here."""
+    """Processor time is measured, because the machine may be busy."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert support.python("-c", CHECK).stdout.splitlines()[-1] == "loaded: set()"
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -248,7 +248,7 @@ def test_check_finds_that_a_press_fit_alone_acts_on_the_model(press_fit: str) ->
 def test_check_finds_a_probe_outside_its_region(
     probe: dict[str, str], where: str, order: int
 ) -> None:
-    """Without being asked for the mesh; the radius of the stem is 7 mm."""
+    """The check finds the probe without `--mesh`. The radius of the stem is 7 mm."""
     changes = {"mesh.size": "4 mm", "mesh.order": order, "output.probes": {"tip": probe}}
     case = mantle.load(CONFIGS / "cylinders.yaml", **changes)
     if not where:
@@ -262,7 +262,7 @@ def test_check_finds_a_probe_outside_its_region(
 def test_check_finds_a_shipped_case_beside_a_folder_of_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A folder of results is often named after its case."""
+    """A folder of results often has the name of its case."""
     (tmp_path / "blocks").mkdir()
     monkeypatch.chdir(tmp_path)
     assert main(["check", "blocks"]) == 0

@@ -78,7 +78,10 @@ def test_init_writes_a_short_valid_case(
 
 
 def test_init_femur_stands_on_one_leg(tmp_path: Path) -> None:
-    """The hip force is 261 % of 750 N (mean of ten patients); all else is as in the stance."""
+    """The hip force is 261 % of 750 N (mean of ten patients).
+
+    Other values are those of the stance.
+    """
     case = load(new_case.write(tmp_path / "femur", "femur", "cocr")).config
     stance = load(CONFIGS / "stance_cocr.yaml").config
     for part in ("regions", "interfaces", "supports", "stages"):
@@ -88,7 +91,7 @@ def test_init_femur_stands_on_one_leg(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_init_cementless_runs_without_a_warning(tmp_path: Path) -> None:
-    """A first stem without cement is within the limits of physiology and of bone's strength."""
+    """The first stem without cement is within the limits of physiology and of bone's strength."""
     path = new_case.write(tmp_path / "hip", "femur", cementless=True)
     case = mantle.load(path, **{"mesh.size": "6 mm"})
     assert mantle.check(case).notes == ()
@@ -101,7 +104,7 @@ def test_init_cementless_runs_without_a_warning(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("stem", new_case.STEMS)
 def test_init_femur_runs_without_a_warning(stem: str, tmp_path: Path) -> None:
-    """A first hip is within the limits of physiology that it is judged by."""
+    """The first hip is within the limits of physiology."""
     case = mantle.load(new_case.write(tmp_path / "hip", "femur", stem))
     assert mantle.check(case).notes == ()
     summary = mantle.run(case, tmp_path / "out").summary
@@ -183,7 +186,7 @@ def test_init_lists_names_of_a_mesh(tmp_path: Path) -> None:
 def test_init_of_touching_blocks_runs_unchanged(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Interior surfaces are no boundaries; the launcher has the name by which it was called."""
+    """Interior surfaces are no boundaries. The launcher prints the name by which it was called."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MANTLE_CALLED", "./mantle")
     meshes.write_msh(mantle.mesh(load(new_case.write(tmp_path / "b", "blocks"))), Path("own.msh"))

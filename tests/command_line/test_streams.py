@@ -30,7 +30,7 @@ from tests.support import ROOT
 def test_streams_closed_output_is_no_error(
     command: str, reader: str, read: str, tmp_path: Path
 ) -> None:
-    """A run goes on without it."""
+    """The run continues after its output is closed."""
     line = f"{sys.executable} -m mantle {command.format(tmp_path)} | {reader}; echo ${{PIPESTATUS}}"
     result = subprocess.run(
         ["bash", "-c", line], cwd=ROOT, capture_output=True, text=True, timeout=60
@@ -44,7 +44,7 @@ WRONG = [sys.executable, "-m", "mantle", "check", "no_such_case.yaml"]
 
 @contextmanager
 def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[io.TextIOWrapper]:
-    """A terminal with colours, whatever these tests run in."""
+    """A terminal with colours, independent of the terminal of the tests."""
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.delenv("NO_COLOR", raising=False)
     monkeypatch.setattr(streams, "world_size", lambda: None)
@@ -54,7 +54,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[io.TextIOWrapper]:
 
 
 def shown(stream: io.TextIOWrapper) -> str:
-    """A warning, and a line with a tone, as a handler of the stream forms them."""
+    """A warning, and a line with a tone, formatted by a handler of the stream."""
     handler = Handler(stream)
     warning = logging.makeLogRecord({"msg": "look", "levelno": logging.WARNING})
     good = logging.makeLogRecord({"msg": "exact", "levelno": logging.INFO, "tone": "good"})
@@ -78,7 +78,7 @@ def test_streams_have_colours_only_on_a_terminal(
 
 
 def test_streams_of_ranks_follow_the_launcher(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Under mpirun a rank sees a terminal also where all goes into a file."""
+    """Under mpirun a rank has a terminal even if all output goes to a file."""
     with terminal(monkeypatch) as stream:
         monkeypatch.setattr(streams, "world_size", lambda: 2)
         monkeypatch.delenv(COLOURS, raising=False)

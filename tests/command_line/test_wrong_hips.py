@@ -1,4 +1,4 @@
-"""Wrong patients' hips: `mantle check` ends with 2 and says what, where, and what to do.
+"""Wrong hips of patients: `mantle check` exits with 2 and says what, where, and what to do.
 
 Stems from CAD are in `test_cad_stem`.
 """
@@ -39,7 +39,7 @@ def without(s: BoneSurface, near: tuple[float, float, float], radius: float) -> 
 
 
 def with_body(s: BoneSurface, x: Floats, triangles: Any) -> BoneSurface:
-    """A surface and more triangles, of corners that are counted after those of the surface."""
+    """A surface with more triangles, whose corners are numbered after those of the surface."""
     points = np.concatenate([s.points, x])
     return BoneSurface(points, np.concatenate([s.triangles, triangles]))
 
@@ -54,7 +54,7 @@ def twice(s: BoneSurface) -> BoneSurface:
 
 
 def headless() -> BoneSurface:
-    """A femur that is cut across the neck, and closed there."""
+    """A femur that is cut across the neck and closed at the cut."""
     s, turn = parametric_femur(), np.radians(15.0)
     head = np.array([43 * np.cos(turn), 43 * np.sin(turn), 54.0])
     beyond = s.points @ head / np.linalg.norm(head) > np.linalg.norm(head) - 21.0
@@ -76,7 +76,7 @@ def tibia() -> BoneSurface:
 
 
 def bent(axis: int, far: float, centre: Any, size: Any) -> BoneSurface:
-    """A femur that is pushed along an axis about a place, through itself."""
+    """A femur that is pushed through itself along an axis."""
     x = parametric_femur().points.copy()
     x[:, axis] += far * np.exp(-(((x - centre) / size) ** 2).sum(axis=1))
     return BoneSurface(x, parametric_femur().triangles)
@@ -259,7 +259,7 @@ def test_wrong_hips_are_refused(
 def test_wrong_hips_override_is_named(
     override: str, words: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """An option that does not go with keys of the file."""
+    """The option contradicts keys of the file."""
     case = written(folder, {"stem": {"length": "147 mm", "half_width": "8.5 mm"}})
     assert main(["check", str(case), "--set", override]) == 2
     printed = capsys.readouterr().err.strip()
@@ -269,7 +269,7 @@ def test_wrong_hips_override_is_named(
 def test_wrong_hips_value_of_a_base_names_the_changes_of_the_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A length that does not go with the widths of the base."""
+    """The length of the file contradicts the widths of the base."""
     case = tmp_path / "short.yaml"
     case.write_text("base: pressed\ntitle: Short\ngeometry: {stem: {length: 40 mm}}\n")
     assert main(["check", str(case)]) == 2

@@ -38,7 +38,7 @@ def test_captured_streams_are_restored_after_an_error(capfd: pytest.CaptureFixtu
 def test_captured_error_on_crossing_surfaces_is_explained(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    """gmsh prints a "PLC Error" past its log."""
+    """gmsh prints a "PLC Error" around its log."""
     with pytest.raises(GeometryError, match=CROSSING_TEXT), session("crossing") as gmsh:
         loops = []
         for x, y, z, *size in ((0, 0, 0, 4, 4, 4), (1, 1, 1, 5.3, 2, 2)):

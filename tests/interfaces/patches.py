@@ -24,7 +24,7 @@ def facets_of(
     stiffness: Floats | None = None,
     rounded_angle: float = 0.0,
 ) -> tuple[InterfaceFacets, Floats]:
-    """Facets from triangles by coordinates, and the coordinates of the vertices they share."""
+    """Facets from triangles by coordinates, and the coordinates of the shared vertices."""
     corners = np.array(triangles)
     x, number = np.unique(corners.reshape(-1, 3).round(9), axis=0, return_inverse=True)
     vertices = number.reshape(-1, 3).astype(np.int64)
@@ -45,7 +45,7 @@ def facets_of(
 
 
 def between(triangles: Sequence[Floats], inside: Sequence[float]) -> tuple[InterfaceFacets, Floats]:
-    """Facets of one interface between body 0 and body 1, the slave, which has a point inside."""
+    """Facets of one interface between body 0 and body 1, the slave, which contains a point."""
     m = len(triangles)
     return facets_of(triangles, [0] * m, [0] * m, [1] * m, [np.array(inside)] * m)
 

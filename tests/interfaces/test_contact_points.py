@@ -1,4 +1,4 @@
-"""Rules of ``contact_points``: normals, edges, bodies that meet on a line, held parts."""
+"""Rules of ``contact_points``: normals, edges, bodies that meet on a line, supports."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ def box_in_a_box(n: int = 3) -> tuple[InterfaceFacets, Floats]:
 
 
 def test_contact_points_of_a_box_in_a_box() -> None:
-    """One face inside a side, two on its edges, three at its corners, each with its normal."""
+    """Points have one face inside a side, two on its edges, three at its corners.
+
+    Each face has its normal.
+    """
     facets, x = box_in_a_box()
     points, _ = contact_points(facets, NOTHING_HELD, ["a"], {})
     np.testing.assert_allclose(points.x, x[points.vertex], atol=1e-8)
@@ -49,7 +52,10 @@ def test_contact_points_of_a_box_in_a_box() -> None:
 
 @pytest.mark.parametrize(("angle", "faces"), [(10, 1), (29, 1), (31, 2), (60, 2), (90, 2)])
 def test_contact_points_faces_split_above_30_degrees(angle: float, faces: int) -> None:
-    """Two half planes that meet at an angle: one averaged normal below 30 degrees, two above."""
+    """Two half planes meet at an angle.
+
+    Below 30 degrees they have one averaged normal, above it two.
+    """
     t = np.deg2rad(angle)
     up = np.array([-np.cos(t), 0.0, -np.sin(t)])
     triangles = patch([0, 0, 0], [1, 0, 0], [0, 1, 0], 2) + patch([0, 0, 0], up, [0, 1, 0], 2)
@@ -70,7 +76,7 @@ def test_contact_points_faces_split_above_30_degrees(angle: float, faces: int) -
 
 @pytest.mark.parametrize(("angle", "faces"), [(31, 1), (59, 1), (61, 2)])
 def test_contact_points_faces_join_at_rounded_edges(angle: float, faces: int) -> None:
-    """Up to the angle that a geometry with rounded edges gives."""
+    """Faces join up to the angle that a geometry with rounded edges gives."""
     t = np.deg2rad(angle)
     up = np.array([-np.cos(t), 0.0, -np.sin(t)])
     triangles = patch([0, 0, 0], [1, 0, 0], [0, 1, 0], 2) + patch([0, 0, 0], up, [0, 1, 0], 2)
@@ -85,7 +91,7 @@ def test_contact_points_faces_join_at_rounded_edges(angle: float, faces: int) ->
 
 
 def test_contact_points_have_at_most_three_faces() -> None:
-    """The tip of a pyramid has four: the closest are merged, and all the area is kept."""
+    """The tip of a pyramid has four faces. The closest two are merged, and the area stays."""
     rim = [np.array([np.cos(a), np.sin(a), 0]) for a in np.pi / 2 * np.arange(4)]
     tip = np.array([0, 0, 1.0])
     triangles = [np.array([tip, rim[k], rim[(k + 1) % 4]]) for k in range(4)]
@@ -101,7 +107,7 @@ def test_contact_points_have_at_most_three_faces() -> None:
 
 @pytest.mark.parametrize("Q", [ROTATION, np.diag([1.0, -1.0, 1.0])], ids=["turned", "mirrored"])
 def test_contact_points_faces_are_independent_of_axes(Q: Floats) -> None:
-    """The order of the faces decides which bears the force of a point that sticks."""
+    """The order of the faces decides which face bears the force of a sticking point."""
     facets, _ = box_in_a_box()
     turned = replace(facets, nodes=facets.nodes @ Q.T, normal=facets.normal @ Q.T)
     one, other = (contact_points(f, NOTHING_HELD, ["a"], {})[0] for f in (facets, turned))
@@ -113,7 +119,7 @@ def test_contact_points_faces_are_independent_of_axes(Q: Floats) -> None:
 
 
 def moves(entries: Entries, dof: int, bodies: int, jumps: int) -> Floats:
-    """Matrix (3 bodies, 3 jumps): what the jumps add to each body at a vertex."""
+    """Matrix (3 bodies, 3 jumps): displacements of each body at a vertex by the jumps."""
     B = np.zeros((3 * bodies, 3 * jumps))
     here = entries.row // 3 == dof
     for body, row, column, value in zip(
@@ -124,7 +130,7 @@ def moves(entries: Entries, dof: int, bodies: int, jumps: int) -> Floats:
 
 
 def check_jumps(points: ContactPoints, entries: Entries, bodies: int) -> None:
-    """At every vertex the slave minus the master moves by exactly the jump of the point."""
+    """At every vertex the slave moves relative to the master by exactly the jump of the point."""
     n = len(points.x)
     for p in range(n):
         B = moves(entries, int(points.dof[p]), bodies, n).reshape(bodies, 3, 3 * n)
@@ -136,7 +142,7 @@ def check_jumps(points: ContactPoints, entries: Entries, bodies: int) -> None:
 
 
 def check_mean_jumps(points: ContactPoints, entries: Entries, bodies: int) -> None:
-    """At every corner of an interface the slave moves against the master by the true jump.
+    """At every corner of an interface the slave moves relative to the master by the true jump.
 
     The jump of a point is the mean of its corner and its part of the dependent ones.
     """
@@ -175,7 +181,7 @@ def three_on_a_line(*moduli: float) -> tuple[InterfaceFacets, Floats]:
 
 
 def test_contact_points_stiffest_body_is_the_base() -> None:
-    """It is the field u itself wherever no support holds another one."""
+    """The stiffest body has the field u itself, unless a support holds another one."""
     facets, _ = three_on_a_line(2.0, 1.0, 3.0)
     points, entries = contact_points(facets, NOTHING_HELD, ["a", "b", "c"], {})
     for p in range(len(points.x)):
@@ -187,7 +193,10 @@ def test_contact_points_stiffest_body_is_the_base() -> None:
 
 
 def test_contact_points_of_three_bodies_have_two_jumps() -> None:
-    """Bodies minus one; interfaces that are alike are taken by name, the last one is dependent."""
+    """There is one jump fewer than bodies.
+
+    Equal interfaces are taken by name, and the last one is dependent.
+    """
     facets, x = three_on_a_line()
     points, entries = contact_points(facets, NOTHING_HELD, ["a", "b", "c"], {})
     line = np.flatnonzero(np.hypot(x[:, 0], x[:, 1]) < 1e-9)
@@ -227,7 +236,7 @@ def flat(slope: float = 0.0) -> tuple[InterfaceFacets, Floats]:
 
 
 def test_contact_points_held_slave_is_the_base() -> None:
-    """Where only the slave is held it is the field u itself, and the master moves by minus q."""
+    """If only the slave is held, it has the field u, and the master moves by minus q."""
     facets, x = flat()
     points, entries = contact_points(facets, hold(x[:, 0] < 1e-9, [1], 0), ["a"], {})
     assert not points.is_prescribed.any()
@@ -241,7 +250,7 @@ def test_contact_points_held_slave_is_the_base() -> None:
 
 
 def test_contact_points_jump_is_prescribed_where_both_sides_are_held() -> None:
-    """The jump of a component that both sides hold is given, and normals drop the component."""
+    """If supports hold a component of both sides, its jump is given, and normals omit it."""
     facets, x = flat(0.2)
     points, _ = contact_points(facets, hold(x[:, 1] < 1e-9, [0, 1], 1), ["a"], {})
     held = points.x[:, 1] < 1e-9
@@ -257,9 +266,10 @@ def test_contact_points_jump_is_prescribed_where_both_sides_are_held() -> None:
 
 
 def test_contact_points_of_a_chain_between_held_bodies() -> None:
-    """The outer two of a chain held: both jumps in that direction are given.
+    """The outer two bodies of a chain are held, so both jumps in that direction are given.
 
-    Where the two are in contact as well their jump alone is, and the third body moves freely.
+    If the outer two are in contact as well, only their jump is given, and the third body moves
+    freely.
     """
     facets, x = three_on_a_line()
     holds = hold(np.hypot(x[:, 0], x[:, 1]) < 1e-9, [0, 2], 2)
@@ -297,7 +307,7 @@ if MPI.COMM_WORLD.rank == 0:
 
 @pytest.mark.parallel
 def test_contact_points_are_independent_of_the_partition(tmp_path: Path) -> None:
-    """The replicated arrays are the same, bit by bit, on all ranks of 1 and 3."""
+    """The replicated arrays are identical, bit by bit, on all ranks of 1 and 3."""
     results = []
     for ranks in (1, 3):
         path = tmp_path / f"{ranks}.npz"

@@ -23,7 +23,7 @@ from tests.interfaces.patches import CYLINDERS, NOTHING_HELD, between, patch
 @pytest.mark.parametrize("taper", [0, 3])
 @pytest.mark.parametrize("size", [4.0, 1.5])
 def test_smooth_normals_of_cylinders_and_cones_are_exact(size: float, taper: float) -> None:
-    """At every node, rims among them, from the stiffer to the softer side."""
+    """Normals are exact at every node, rims included, from the stiffer to the softer side."""
     text = CYLINDERS.format(size=size, taper=taper, sector="quarter")
     points = support.assemble(support.case(text, "mesh.order=1"))[0].contact.points
     slope = np.tan(np.deg2rad(taper))
@@ -39,7 +39,7 @@ def test_smooth_normals_of_cylinders_and_cones_are_exact(size: float, taper: flo
 
 
 def bump(n: int) -> tuple[InterfaceFacets, Floats]:
-    """A surface of no low degree as irregular triangles, and its normals at the vertices."""
+    """An irregular triangulation of a surface of high degree, and its normals at the vertices."""
     rng = np.random.default_rng(5)
     u = np.stack(np.meshgrid(*[np.linspace(0, 1, n + 1)] * 2, indexing="ij"), axis=-1)
     inner = (slice(1, -1), slice(1, -1))
@@ -69,7 +69,10 @@ def test_smooth_normals_converge_at_second_order() -> None:
 
 
 def test_smooth_normals_error_is_estimated() -> None:
-    """None on cylinders of straight facets; curved facets differ a little; noise is estimated."""
+    """Cylinders of straight facets have no error, curved facets a small one.
+
+    Noise has its estimated error.
+    """
     text = CYLINDERS.format(size=3.0, taper=3, sector="quarter")
     curved = support.assemble(support.case(text, "mesh.order=2", "mesh.curved=true"))[0].contact
     assert 0 < curved.points.normal_error.max() < 4e-3
@@ -134,7 +137,7 @@ def test_smooth_normals_keep_creases(degrees: float) -> None:
 
 
 def test_smooth_normals_with_noise_allow_rotation_about_the_axis() -> None:
-    """And along a cylinder; a slope of half a degree along the axis stays."""
+    """Slip along a cylinder is free too. A slope of half a degree along the axis stays."""
     rng = np.random.default_rng(4)
     angle, z = rng.uniform(0, 2 * np.pi, 300), rng.uniform(0, 20, 300)
     slope = np.deg2rad(0.5)

@@ -1,4 +1,4 @@
-"""Cycle tables of motions and loads: read from files and lines, written, evaluated."""
+"""Cycle tables of motions and loads: from files and lines, written, evaluated."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def test_cycle_tables_missing_columns_are_zero() -> None:
 
 
 def test_cycle_tables_factor_of_a_force() -> None:
-    """The course of a force that the case gives, in per cent, linear between rows."""
+    """The force of the case has a course in per cent, linear between rows."""
     rows = ["time [s], factor [%]", "0, 100", "1, 20", "3, 100"]
     key = {"kind": "force", "boundary": "top", "cycle_table": rows}
     force = Force.model_validate(key | {"force": "[0, 300, -400] N"})
@@ -171,7 +171,10 @@ def test_cycle_tables_factor_of_a_force() -> None:
 
 
 def test_cycle_tables_force_sizes_over_time() -> None:
-    """A stage of growth, then two cycles; a load with a history beside it, with its valleys."""
+    """The load grows in a stage and then has two cycles.
+
+    Another load with a history has its valleys too.
+    """
     text = CASE.partition("motions:")[0].replace("{rigid: true}", "{youngs_modulus: 2 GPa}")
     text = text.replace("youngs_modulus: 2 GPa}", "youngs_modulus: 2 GPa, poisson_ratio: 0.3}")
     loads = """\

@@ -1,4 +1,4 @@
-"""Fibres that follow an axis: rings of them against closed forms, and what they must not be."""
+"""Fibres that follow an axis: rings against closed forms, and refused axes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def ring(lay: str, *overrides: str) -> Case:
 
 
 def turned(tagged: TaggedMesh, shift: Floats) -> TaggedMesh:
-    """The mesh moved, its x axis to y, y to z, z to x; in place."""
+    """The mesh in place, with its x axis moved to y, y to z and z to x."""
     x = tagged.mesh.geometry.x
     x[:] = np.roll(x, 1, axis=1) + shift
     return tagged
@@ -61,7 +61,7 @@ def test_fibres_ring_is_independent_of_its_axis(lay: str) -> None:
 
 @pytest.mark.parametrize(("lay", "order"), [("circumferential", 1), ("radial", 2)])
 def test_fibres_balances_close_with_free_strain(lay: str, order: int) -> None:
-    """All forms of a region integrate in the same points."""
+    """All forms of a region integrate at the same points."""
     case = ring(lay, "mesh.size=2 mm", f"mesh.order={order}", f"regions.ring.eigenstrains=[{FREE}]")
     assert support.solve(case, balances=True).balances.max() < 1e-9
 
@@ -77,7 +77,10 @@ def test_fibres_energy_is_half_the_work_of_pressure(lay: str) -> None:
 
 
 def test_fibres_cured_ring_is_elastic() -> None:
-    """Fully cured from the start, in two steps, under pressure and an even free strain."""
+    """The ring is fully cured from the start.
+
+    Two steps load it by pressure and uniform free strain.
+    """
     text = RING.read_text().replace("ring.geo", str(RING.with_name("ring.geo")))
     change = "mesh.size=2 mm"
     rate = Heated.make(text, setting(cure("ring", initial=1.0)), change)
@@ -134,7 +137,10 @@ stages: [{name: conduct, steady: true}]
 def test_fibres_heat_through_a_ring(
     lay: str, conductivity: float, overrides: tuple[str, ...]
 ) -> None:
-    """2 π k L ΔT / log(b / a), of which the quarter; k that of the fibre only if it is radial."""
+    """A quarter of 2 π k L ΔT / log(b / a) flows.
+
+    The k is that of the fibre only if the fibre is radial.
+    """
     case = support.case(HOT, f"regions.ring.thermal.fibre.kind={lay}", *overrides)
     model = Model(case, MPI.COMM_WORLD, {}, Timing(), lambda: "")
     model.run(on_trouble=print)

@@ -1,4 +1,4 @@
-"""A load that a user's package adds."""
+"""A load of a user's package."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Wind(Load):
 
 
 def test_loads_from_outside_does_work(tmp_path: Path) -> None:
-    """The shear of the layer is that of the load, and the balances have its work."""
+    """The shear of the layer equals that of the load, and the balances contain its work."""
     case = CASE.replace("kind: pressure", "kind: wind").replace("pressure: -3", "shear: 3")
     summary, _ = run(tmp_path, LAYER + WIND, case)
     interface = summary["interfaces"]["lower_upper"]

@@ -11,7 +11,7 @@ from app.numerics.sparse import from_rows
 
 
 def sparse(values: np.ndarray) -> PETSc.Mat:
-    """A matrix of all these entries."""
+    """A sparse matrix with these entries."""
     rows, columns = values.shape
     start, numbers = columns * np.arange(rows + 1), np.tile(np.arange(columns), rows)
     return from_rows(MPI.COMM_SELF, (rows, columns), start, numbers, values.ravel())

@@ -11,7 +11,7 @@ from tests.mechanics.coarse_spaces import ALL, sparse
 
 
 def test_coarse_space_free_directions_have_no_resistance() -> None:
-    """Open, sticking, and slipping along x on a face normal to z with friction 0.4."""
+    """Points are open, stick, or slip along x on a face normal to z with friction 0.4."""
     slip = np.array([[0.0, 0.0, 0.4], [0.0, 0.9, 0.0], [0.0, 0.0, 1.0]])
     projectors = free_directions(np.array([np.zeros((3, 3)), np.eye(3), slip]))
     np.testing.assert_allclose(projectors[0], np.eye(3), atol=1e-14)
@@ -20,7 +20,7 @@ def test_coarse_space_free_directions_have_no_resistance() -> None:
 
 
 def test_coarse_space_boxes_reproduce_linear_functions() -> None:
-    """Hat functions sum to one, interpolate what is linear, and are constant outside the boxes."""
+    """Hat functions sum to one, interpolate linear functions, and are constant outside boxes."""
     x = np.random.default_rng(2).uniform([0, 0, 0], [4, 3, 9], (5000, 3))
     boxes = Boxes(x)
     functions, values = boxes(x)
@@ -44,7 +44,7 @@ def test_coarse_space_boxes_at_flat_interfaces_are_few(spans: tuple[float, ...])
 
 
 def test_coarse_space_follows_breaking_cohesive_interfaces() -> None:
-    """The free directions of a bond may stay the same; its stiffness does not."""
+    """The free directions of a bond may stay the same while its stiffness changes."""
     random = np.random.default_rng(1)
     motions = CoarseSpace(sparse(random.normal(size=(6, 3))), sparse(random.normal(size=(6, 3))))
     versions = []

@@ -1,4 +1,4 @@
-"""Supports that hold in some stages only: what they carried is carried by the rest."""
+"""Supports that hold in some stages only: other supports take over their forces."""
 
 from __future__ import annotations
 
@@ -45,7 +45,10 @@ def active(**stages: tuple[str, ...]) -> Callable[[Scene], Scene]:
 
 @pytest.mark.parametrize("overrides", [(), (RIGID,), (CONTACT,), (CONTACT, RIGID)])
 def test_constraints_released_support_equals_no_support(overrides: tuple[str, ...]) -> None:
-    """Linear, or sticking: the state after the release depends on the loads alone."""
+    """The bodies are linear, or all points stick.
+
+    So the state after the release depends on the loads alone.
+    """
     released = Heated.make(COLUMN, active(hand=("held",)), *overrides)
     problem = released.problem
     problem.set_time(1.0)
@@ -88,7 +91,10 @@ def test_constraints_support_holds_again_after_release() -> None:
 
 
 def test_constraints_refuse_release_of_prescribed_jumps() -> None:
-    """Both sides of the interface held where they touch: the support that lets go is named."""
+    """Supports hold both sides of the interface where they touch.
+
+    The message names the released support.
+    """
     sides = (
         "supports.left={kind: roller, boundary: lower_x_min, axis: x}",
         "supports.right={kind: roller, boundary: upper_x_min, axis: x}",

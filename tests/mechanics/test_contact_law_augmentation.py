@@ -1,4 +1,4 @@
-"""The augmentation r: chosen from the local stiffness, and anew if the case gives a bad one."""
+"""The augmentation r: its default from the local stiffness, and its change for bad values."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def chosen(text: str, *overrides: str) -> np.ndarray:
 
 
 def test_contact_law_augmentation_scales_as_stiffness_per_length() -> None:
-    """Ten times the moduli, ten times r; half the size, twice r."""
+    """Ten times the moduli give ten times r; half the size gives twice r."""
     r = chosen(STEM)
     stiffer = chosen(
         STEM,
@@ -50,7 +50,7 @@ def test_contact_law_augmentation_scales_as_stiffness_per_length() -> None:
 
 
 def test_contact_law_augmentation_follows_softened_cement() -> None:
-    """Cement that softens in place takes its augmentation with it, as far as it was lowered."""
+    """Softening of the cement lowers its augmentation in proportion to the earlier factor."""
     problem, _ = support.assemble(support.case(STEM))
     j = problem.contact
     j.law.scale_augmentation(0.1)
@@ -74,7 +74,10 @@ def test_contact_law_augmentation_follows_softened_cement() -> None:
 def test_contact_law_augmentation_over_eight_decades_gives_equal_jumps(
     factor: float, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Eight decades of r: one step, none rejected, the same jumps; attempts are reported."""
+    """Eight decades of r give the same jumps in one step, without a rejected one.
+
+    Attempts are reported.
+    """
     outcomes: list[NewtonResult] = []
     jumps = []
     for f in (1.0, factor):
@@ -96,7 +99,7 @@ def test_contact_law_augmentation_over_eight_decades_gives_equal_jumps(
 
 
 def test_contact_law_augmentation_default_is_found_from_any_given_value() -> None:
-    """From what was asked for, by the factor or for an interface; penalties have none."""
+    """The ratio compares the default with the augmentation of the case."""
     law = "interfaces.{}={{kind: contact, friction_coefficient: 0.4, augmentation: 1e9 MPa/mm}}"
     penalty = law.replace("contact", "penalty").replace("augmentation", "penalty")
     given, springs = (
@@ -113,7 +116,7 @@ def test_contact_law_augmentation_default_is_found_from_any_given_value() -> Non
 
 
 def test_contact_law_augmentation_does_not_change_a_penalty() -> None:
-    """Softer trial forces, the same answer: jumps, forces, slip and what friction has cost."""
+    """Softer trial forces give the same jumps, forces, slip and dissipation."""
     law = "interfaces.{}={{kind: penalty, friction_coefficient: 0.4, penalty: {} MPa/mm}}"
     laws = [law.format("stem_cement", 2e3), law.format("cement_bone", 5e3)]
     path = "loads.hip.history=[1, 0.2]"
@@ -141,7 +144,7 @@ def test_contact_law_augmentation_does_not_change_a_penalty() -> None:
 
 
 def test_contact_law_augmentation_remedies_restore_the_line_search(tmp_path: Path) -> None:
-    """Another type of it begins with defaults of PETSc, and would go on with them."""
+    """Another line search begins with defaults of PETSc, and would keep them."""
 
     def described(solver: Solver) -> str:
         viewer = PETSc.Viewer().createASCII(str(tmp_path / "snes.txt"))

@@ -1,4 +1,4 @@
-"""Creep: its equation at a point, units of time, what it dissipates."""
+"""Creep: its equation at a point, units of time, dissipation."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ output: {fields: false}
 
 
 def at_points(strain: float, n: int) -> CreepState:
-    """Points of one strain so far, in a separate state."""
+    """Points with one earlier strain, in a separate state."""
     state = object.__new__(CreepState)
     state._law_values = {key: np.full(n, value) for key, value in LAW.items()} | {
         "unit": np.ones(n)
@@ -59,7 +59,7 @@ def at_points(strain: float, n: int) -> CreepState:
 @pytest.mark.parametrize("strain", [0.0, 1e-9, 1e-4, 1e-2])
 @pytest.mark.parametrize("cycles", [1.0, 1e3, 1e7])
 def test_creep_equation_at_a_point(strain: float, cycles: float) -> None:
-    """By a separate bisection, in s, over all stresses of cement; flow is along the deviator."""
+    """A separate bisection in s covers all stresses of cement. Flow is along the deviator."""
     sizes = np.array([0.01, 0.3, 5.0, 50.0])
     σ = sizes[:, None] * np.array([[1.0, -0.2, 0.4, 0.3, 0.0, -0.5]])
     taken = at_points(strain, len(sizes)).stress_relaxation(σ, cycles)
@@ -80,7 +80,10 @@ def test_creep_equation_at_a_point(strain: float, cycles: float) -> None:
 
 
 def test_creep_of_cement_only_in_its_stages(tmp_path: Path) -> None:
-    """Stem in creeping cement: balances close, work is lost, and the stem subsides."""
+    """The stem is in creeping cement.
+
+    Balances close, energy is dissipated, and the stem subsides.
+    """
     run = support.run(CREEPING, tmp_path)
     s, named = run.summary, run.step_record
     assert max(s["balance"].values()) < 1e-9 and s["solver"]["rejected_steps"] is not None
@@ -115,7 +118,7 @@ def test_creep_step_is_stopped_by_a_signal(
 
 
 def test_creep_time_in_any_unit(tmp_path: Path) -> None:
-    """A day by a law per second or per hour: A t^m; at order 2 as well."""
+    """A law per second or per hour gives A t^m after a day, at order 2 as well."""
     seconds = 86400.0
     expected = 1e-6 * 10**2 * seconds**0.4
     per_hour = f"{{A: {1e-6 * 3600**0.4!r}, p: 2, m0: 0.4, per: 1 hour}}"
@@ -142,7 +145,7 @@ def test_creep_time_in_any_unit(tmp_path: Path) -> None:
 
 
 def test_creep_law_alone_costs_nothing() -> None:
-    """A law alone costs nothing: neither points nor forms; the stages decide."""
+    """A law alone adds neither points nor forms, because stages switch creep on."""
     problem, _ = support.assemble(support.case(BAR, "stages=[{name: hold}]"))
     assert (
         problem.scene.creeps == ()
@@ -154,7 +157,7 @@ def test_creep_law_alone_costs_nothing() -> None:
 def test_creep_near_zero_equals_elasticity(
     tmp_path: Path,
 ) -> None:
-    """The stress then depends on the history of strains and temperatures, as in the law."""
+    """The stress depends on the history of strains and temperatures, as the law says."""
     summaries = []
     cool = ("regions.upper.thermal.cure=null", "interfaces.lower_upper.friction_coefficient=0")
     stage = "stages[1]={name: load, increments: 2, creep_cycles: 1, adaptive: false}"

@@ -18,14 +18,14 @@ from tests.cases.nested_stem import go
     ],
 )
 def test_predictors_proportional_loads_are_solved_once(overrides: tuple[str, ...]) -> None:
-    """Contact with friction is homogeneous: later steps need a correction of rounding at most."""
+    """Contact with friction is homogeneous, so later steps need only a correction of rounding."""
     first, *later = (s.outcome.iterations for s in go(*overrides)[1])
     assert first > 3
     assert later and max(later) <= 1
 
 
 def test_predictors_reject_a_wrong_extrapolation() -> None:
-    """Where the load turns back, the step starts from the state before it, not from the line."""
+    """After the load reverses, the step starts from the state before it, not from the line."""
     turn = ("loads.push.history=[1, 0.9]", "stages=[{name: up}, {name: back}]")
     straight, _ = go("stages.0.increments=1")
     turned, steps = go(*turn)

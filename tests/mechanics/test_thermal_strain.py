@@ -1,4 +1,4 @@
-"""Thermal expansion: forces, stresses and energy of bodies whose temperatures are given."""
+"""Thermal expansion: forces, stresses and energy of bodies with given temperatures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.cases.heated import BAR, CLAMPS, CYLINDERS, ORDERS, UNILATERAL, Heate
 
 @ORDERS
 def test_thermal_strain_free_expansion_has_no_stress(order: int) -> None:
-    """Displacement α ΔT x, where the temperature is uniform, and no stress."""
+    """Displacements are α ΔT x at uniform temperature, without stress."""
     bar = Heated.make(BAR, expanding(one=8e-5, two=8e-5), f"mesh.order={order}")
     bar.solve({"one": 340.0, "two": 340.0})
     x = bar.problem.space.tabulate_dof_coordinates()
@@ -30,7 +30,7 @@ def test_thermal_strain_free_expansion_has_no_stress(order: int) -> None:
 
 @ORDERS
 def test_thermal_strain_of_a_clamped_bar(order: int) -> None:
-    """σ = -E α ΔT along the bar, whatever each part's temperature; energy closes."""
+    """The stress along the bar is -E α ΔT for any temperatures of its parts. The energy closes."""
     E, dT = 2200.0, 40.0
     soft = "regions.two={youngs_modulus: 2200 MPa, poisson_ratio: 0.3}"
     bar = Heated.make(BAR, expanding(one=8e-5, two=8e-5), f"mesh.order={order}", CLAMPS, soft)
@@ -45,7 +45,7 @@ def test_thermal_strain_of_a_clamped_bar(order: int) -> None:
 
 
 def test_thermal_strain_of_linear_temperature_bends_a_free_bar() -> None:
-    """ε = α (T - T_ref) I is compatible where T is linear: P2 has it exactly, and no stress."""
+    """A strain α (T - T_ref) I is compatible if T is linear. P2 has it exactly, without stress."""
     rate = 8e-5 * 5.0
     floor = (
         f"supports.floor={{kind: displacement, boundary: bottom, z: -{rate} * (x**2 + y**2) / 2}}"
@@ -62,9 +62,10 @@ def test_thermal_strain_of_linear_temperature_bends_a_free_bar() -> None:
 
 
 def test_thermal_strain_stiffness_is_the_derivative_of_forces() -> None:
-    """Linear in temperature: the matrices times T - T_ref are the forces set_temperature sets.
+    """Forces are linear in temperature.
 
-    A temperature jump that lifts the cement alone is that temperature of the cement alone.
+    The matrices times T - T_ref equal the forces of set_temperature. A temperature jump that warms
+    the cement alone equals that temperature of the cement alone.
     """
     cold = Heated.make(CYLINDERS, expanding(cement=80e-6, bone=1e-5), *UNILATERAL)
     problem, scalars = cold.problem, cold.problem.body_forms.scalars
@@ -103,9 +104,9 @@ def test_thermal_strain_stiffness_is_the_derivative_of_forces() -> None:
 
 @pytest.mark.parametrize(("curved", "tolerance"), [("true", 0.01), ("false", 0.07)])
 def test_thermal_strain_tractions_of_cooled_bonded_cylinders(curved: str, tolerance: float) -> None:
-    """physics.md 3.2: σ_rr 5.696 and 7.884 MPa on the stem and the bone.
+    """The manual gives σ_rr 5.696 and 7.884 MPa on the stem and the bone (physics.md 3.2).
 
-    No bond stands that, none fails at an eighth of it.
+    No bond bears that, and each bears an eighth of it.
     """
     strong = "{kind: bonded, strength: {tension: 1.35 MPa, shear: 2.25 MPa}}"
     laws = (f"interfaces.{name}={strong}" for name in ("stem_cement", "cement_bone"))
@@ -132,9 +133,9 @@ def test_thermal_strain_tractions_of_cooled_bonded_cylinders(curved: str, tolera
 def test_thermal_strain_bonded_tractions_of_a_pulled_and_sheared_bar(
     pull: float, shear: float
 ) -> None:
-    """Without heat: uniform strain, given at its surface; an ellipse of 1.35 and 2.25 MPa.
+    """Without heat the strain is uniform and given at the surface.
 
-    Points that are held have no traction.
+    The strengths 1.35 and 2.25 MPa form an ellipse. Held points have no traction.
     """
     E, ν = 2200.0, 0.3
     ε, γ = pull / E, shear * 2 * (1 + ν) / E

@@ -64,7 +64,7 @@ def build(path: Path, text: str | bytes, **keys: object) -> MeshData:
 
 
 def bonded(path: Path, **keys: object) -> MeshData:
-    """The mesh of a file with an interface between its regions, if it has two."""
+    """The mesh of a file. Two regions have an interface between them."""
     names = MeshFile.model_validate({"path": path, **keys}).region_names
     between = {"interfaces": {"between": names}} if len(names) == 2 else {}
     geometry = MeshFile.model_validate({"path": path, **between, **keys})
@@ -72,7 +72,7 @@ def bonded(path: Path, **keys: object) -> MeshData:
 
 
 def whole(data: MeshData, bone: str = "bone", cement: str = "cement") -> dict[str, float]:
-    """Areas of the boundaries, where the regions are whole."""
+    """Areas of the boundaries if the regions are complete."""
     expected = {bone: VOLUMES["bone"], cement: VOLUMES["cement"]}
     assert region_volumes(data) == pytest.approx(expected)
     assert len(data.points) == len(POINTS)
@@ -88,7 +88,7 @@ def messages_of(data: MeshData) -> str:
 
 
 def on(height: float) -> list[tuple[int, int]]:
-    """Elements with a face at a height, and its label."""
+    """Elements with a face at a height, and the label of the face."""
     return [
         (e, s)
         for e, cell in enumerate(CELLS, 1)
@@ -119,7 +119,7 @@ def surface(name: str, height: float) -> str:
 
 
 def literal_lz4(block: bytes) -> bytes:
-    """A block of LZ4 of literals alone."""
+    """A block of LZ4 that consists of literals."""
     rest, long = len(block) - 15, b""
     if rest >= 0:
         long = b"\xff" * (rest // 255) + bytes([rest % 255])
@@ -150,7 +150,7 @@ def cut(parts: int) -> list[Piece]:
 
 
 def encoded(values: np.ndarray, word: str, packer: str, raw: bool) -> bytes:
-    """Data as VTK writes them: header and data in one, or compressed in blocks."""
+    """Data encoded like VTK: header and data together, or compressed in blocks."""
     data, pack = values.tobytes(), PACKERS[packer]
     encode: Callable[[bytes], bytes] = bytes if raw else base64.b64encode
     if pack is None:
@@ -212,7 +212,7 @@ def vtu(
 
 
 def pvtu(folder: Path, parts: int, below: str = "") -> Path:
-    """A file that names pieces, and the pieces, as ParaView writes them."""
+    """A file that names pieces, and the pieces, in the form of ParaView."""
     names = [f"{below}box_{k}.vtu" for k in range(parts)]
     (folder / below).mkdir(exist_ok=True)
     for name, piece in zip(names, cut(parts), strict=True):
@@ -280,7 +280,7 @@ def feb(first: str = "bone", second: str = "cement") -> str:
 
 
 def refused(path: Path, text: str | bytes = "", **keys: object) -> str:
-    """Message on a file that is of no use."""
+    """Error of a file that cannot be used."""
     with pytest.raises(ValueError) as caught:
         build(path, text, **keys) if text else bonded(path, **keys)
     return str(caught.value)
@@ -393,7 +393,7 @@ GRIDS: dict[str, tuple[str, int, str]] = {
 
 
 def med(path: Path, **meshes_of: tuple[np.ndarray, np.ndarray, list[list[str]]]) -> Path:
-    """A file of several meshes: nodes, cells, and groups of the first and second half of these."""
+    """A file of several meshes: nodes, cells, and groups of the first and second half of them."""
     with h5py.File(path, "w") as file:
         for name, (points, cells, groups) in meshes_of.items():
             kind = {3: "triangle", 4: "tetra"}[cells.shape[1]]

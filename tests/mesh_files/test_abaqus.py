@@ -145,7 +145,7 @@ SYSTEMS = {
 @pytest.mark.parametrize("kind", ["R", "C", "S"])
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_abaqus_nodes_in_axes_of_a_system(name: str, kind: str, tmp_path: Path) -> None:
-    """The nodes from the fifth on are in the axes, the last four again in the global ones."""
+    """Nodes from the fifth on are in the axes of the system, the last four in the global ones."""
     start, axes = SYSTEMS[name]
     local = (POINTS - ORIGIN) @ axes
     local = local if kind == "R" else in_system(kind, local)

@@ -33,7 +33,7 @@ def test_med_mesh_of_tetrahedra_is_chosen(tmp_path: Path) -> None:
 
 
 def test_med_families_may_be_left_out(tmp_path: Path) -> None:
-    """Nodes and triangles without a group need none."""
+    """Nodes and triangles without a group need no family."""
     data = meshio.Mesh(POINTS, [("tetra", MED_CELLS), ("triangle", BOTTOM_SIDES)])
     data.cell_data = {"cell_tags": [-TAGS, np.zeros(2, dtype=int)]}
     data.cell_tags, data.point_tags = {-3: ["bone"], -8: ["cement"]}, {1: ["foot"]}
@@ -47,7 +47,7 @@ def test_med_families_may_be_left_out(tmp_path: Path) -> None:
 
 
 def test_med_meshes_are_picked(tmp_path: Path) -> None:
-    """One of two alternatives, or the parts of a model in separate meshes."""
+    """The file has two alternatives, or the parts of a model in separate meshes."""
     fine = (POINTS * 2, MED_CELLS, TWO)
     path = med(tmp_path / "a.med", Coarse=(POINTS, MED_CELLS, TWO), Fine=fine)
     message = refused(path)

@@ -1,4 +1,4 @@
-"""Meshes of other programs: what is read of them, and what is refused in words."""
+"""Meshes of other programs: equal meshes from all formats, and refused files."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ FACES = [(0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)]
 
 
 def numbering(*corners: int) -> list[int]:
-    """The order of a program by gmsh's, from that of the corners."""
+    """The order of a program in terms of gmsh's order, from that of the corners."""
     edges = [{corners[k] for k in edge} for edge in LATER]
     return [*corners, *(4 + [set(e) for e in EDGES].index(edge) for edge in edges)]
 
@@ -87,7 +87,7 @@ def rows(block: np.ndarray, first: int = 1) -> str:
 
 
 def inp(data: MeshData) -> str:
-    """A deck with sections, a set of everything, surfaces by faces, of cells that are listed."""
+    """A deck with sections, a set of everything, listed cells, and surfaces by faces."""
     cells, facets = parts(data, numbering(0, 1, 2, 3))
     nodes = "\n".join(
         f"{k}, {x!r}, {y!r}, {z!r}" for k, (x, y, z) in enumerate(data.points.tolist(), 1)
@@ -124,7 +124,7 @@ def febio(data: MeshData) -> str:
 
 
 def by_meshio(data: MeshData, path: Path) -> None:
-    """Sets as values of an array, or as groups of MED."""
+    """Write sets as values of an array, or as groups of MED."""
     med = path.suffix == ".med"
     cells, facets = parts(data, numbering(*([0, 2, 1, 3] if med else [0, 1, 2, 3])))
     blocks, names = [*cells.values(), *facets.values()], [*cells, *facets]
@@ -151,7 +151,7 @@ def edges(data: MeshData) -> set[tuple[int, int, int]]:
 def test_mesh_files_of_each_format_has_the_same_mesh(
     suffix: str, rod: MeshData, tmp_path: Path
 ) -> None:
-    """Volumes, areas, names and the places of all nodes, in the unit of the file."""
+    """Volumes, areas, names and places of all nodes agree, in the unit of the file."""
     path, small = tmp_path / f"rod.{suffix}", replace(rod, points=rod.points / 10)
     if suffix in ("inp", "feb"):
         path.write_text({"inp": inp, "feb": febio}[suffix](small))
@@ -177,7 +177,7 @@ def test_mesh_files_of_each_format_has_the_same_mesh(
 
 
 def test_mesh_files_deck_of_gmsh(rod: MeshData, tmp_path: Path) -> None:
-    """It writes surfaces as plane elements, and sets of nodes on demand."""
+    """Gmsh writes surfaces as plane elements, and sets of nodes on request."""
     meshes.write_msh(rod, tmp_path / "rod.msh")
     with session("rod") as gmsh:
         gmsh.merge(str(tmp_path / "rod.msh"))
@@ -205,7 +205,10 @@ supports: {low: {kind: fixed, boundary: bone}}
 def test_mesh_files_coincident_nodes_are_merged_unless_finite_sliding(
     rod: MeshData, tmp_path: Path
 ) -> None:
-    """A deck with contact doubles the nodes of its interfaces; sets may go from, to, by steps."""
+    """A deck with contact doubles the nodes of its interfaces.
+
+    Sets may have a start, an end and a step.
+    """
     tags = rod.cell_tags.astype(np.int64)[:, None]
     used, cells = np.unique(rod.cells + len(rod.points) * tags, return_inverse=True)
     points = rod.points[used % len(rod.points)]
@@ -251,7 +254,10 @@ def test_mesh_files_tags_of_dolfinx(rod: MeshData, tmp_path: Path) -> None:
 
 
 def test_mesh_files_with_two_meshes_of_dolfinx(tmp_path: Path) -> None:
-    """Two meshes with separate nodes, a function over time on one and tags on the other."""
+    """The file has two meshes with separate nodes.
+
+    One has a function over time, the other has tags.
+    """
     path = tmp_path / "two.xdmf"
     lower, upper = (
         mesh.create_box(MPI.COMM_SELF, [[0, 0, z], [2, 3, z + 1 + z]], [1, 1, 1]) for z in (0, 1)
@@ -384,7 +390,7 @@ def test_mesh_files_feb_shells_are_boundaries(kind: str, nodes: str, tmp_path: P
 def test_mesh_files_surface_and_set_of_nodes_of_one_name(
     nodes: str, hidden: bool, tmp_path: Path
 ) -> None:
-    """The surface is taken; a set of nodes that contains other facets is not lost silently."""
+    """The surface is used. A set of nodes that contains other facets causes an error."""
     surface = '<Surface name="end"><tri3 id="1">1,2,3</tri3></Surface>'
     text = of_febio(surface, f'<NodeSet name="end">{nodes}</NodeSet>')
     data = build(tmp_path / "a.feb", text)
@@ -468,7 +474,7 @@ def test_mesh_files_coincident_bodies_without_common_nodes_have_a_note(
 
 
 def damaged(raw: bytes, dice: random.Random) -> bytes:
-    """A file cut, with some bytes changed or left out, or with lines lost or moved."""
+    """A file that is cut, or has bytes changed or left out, or lines lost or moved."""
     way, at = dice.randrange(5), dice.randrange(len(raw))
     lines = raw.split(b"\n")
     if way == 0:
@@ -488,7 +494,7 @@ def damaged(raw: bytes, dice: random.Random) -> bytes:
 
 
 def test_mesh_files_damaged_are_read_or_refused(tmp_path: Path) -> None:
-    """Three hundred damaged files are read, or refused in words."""
+    """Three hundred damaged files are read, or refused with a reason."""
     dice = random.Random(7)
     mesh = meshio.Mesh(POINTS, [("tetra", CELLS)], cell_data={"a": [TAGS]})
     mesh.write(tmp_path / "x.xdmf", data_format="XML")

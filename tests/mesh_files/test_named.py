@@ -13,14 +13,14 @@ from tests.mesh_files.spellings import MATERIALS, cut, pvtu, vtu
 
 
 def later(path: Path, raw: bytes) -> None:
-    """Write a file as one that is modified after all others."""
+    """Write a file with a later time of modification than all others."""
     path.write_bytes(raw)
     stamp = path.stat().st_mtime + 10
     os.utime(path, (stamp, stamp))
 
 
 def test_named_files_are_part_of_the_content(tmp_path: Path) -> None:
-    """A change of a piece is another mesh, for a process that has read the former one, too."""
+    """A changed piece gives another mesh, also in a process that has read the former piece."""
     path = pvtu(tmp_path, 2)
     before, first = content(path), MeshFile(path=path)
     assert first.region_names == MATERIALS

@@ -85,7 +85,7 @@ def test_regions_by_disagreeing_arrays_are_refused(
 
 @pytest.mark.parametrize("suffix", ["vtu", "xdmf"])
 def test_regions_array_can_be_given(suffix: str, tmp_path: Path) -> None:
-    """It may be one of several, or have a name that is not that of regions."""
+    """The file has several arrays, or one array with an unusual name."""
     path = tmp_path / f"a.{suffix}"
     arrays = {"material": ODD, "global_part": TAGS, "strain": np.linspace(0, 1, 12)}
     path.write_bytes(vtu(one_piece(**arrays)))

@@ -98,5 +98,5 @@ def test_vtu_parallel_pieces_that_are_damaged_or_elsewhere_are_named(tmp_path: P
 
 
 def test_vtu_lz4_blocks_with_copies() -> None:
-    """Three letters, six more from three before (they overlap), and a last letter."""
+    """The block has three letters, six copied from three before (overlapping), and a last one."""
     assert lz4_decompress(b"\x32abc\x03\x00\x10x") == b"abcabcabcx"

@@ -60,7 +60,7 @@ def test_xdmf_cells_of_a_grid_without_an_array_are_counted(tmp_path: Path) -> No
 
 
 def test_xdmf_arrays_of_several_grids_on_the_same_cells(tmp_path: Path) -> None:
-    """An array called material goes before others; of equals one has to be given."""
+    """An array called material has priority. Otherwise the case must name one of several arrays."""
     path = tmp_path / "a.xdmf"
 
     def tagged(first: str, second: str) -> str:
@@ -97,7 +97,7 @@ def test_xdmf_arrays_of_triangles_are_all_boundaries(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("form", ["HDF", "Binary", "Binary big"])
 def test_xdmf_arrays_in_other_files(form: str, tmp_path: Path) -> None:
-    """They are read from any folder, and are part of the content."""
+    """Arrays are read from any folder, and are part of the content."""
     arrays = {"x y": POINTS, "cells": CELLS.astype("i8"), "tags": TAGS.astype("i8")}
     order = ">" if "big" in form else "<"
     endian = ' Endian="Big"' if "big" in form else ' Endian="Little"'
@@ -182,7 +182,7 @@ def test_xdmf_useless_file_is_refused_with_reason(text: str, words: str, tmp_pat
 
 
 def test_xdmf_grids_that_overlap_are_refused(tmp_path: Path) -> None:
-    """The second grid has cells on the faces of those of the first, at new nodes."""
+    """The second grid has cells on the faces of the first, at new nodes."""
     (a, b, c, d), n = CELLS[0], len(POINTS)
     apart = np.vstack([POINTS, POINTS[d] + 0.1, POINTS[d] + 0.2])
     cells, tags = np.vstack([CELLS, [[a, b, c, n], [a, b, c, n + 1]]]), np.append(TAGS, [1, 1])

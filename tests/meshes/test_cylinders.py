@@ -58,7 +58,7 @@ def test_cylinders_normals_point_outwards(curved: bool) -> None:
 
 @pytest.mark.parametrize("sector", ["full", "half", "quarter"])
 def test_cylinders_slices_one_cell_thick_mesh(sector: str) -> None:
-    """At any thickness: 4.2 mm of cement did, 4.199999999999999 mm left a sliver."""
+    """Any thickness works: 4.2 mm of cement did, 4.199999999999999 mm left a sliver."""
     rng = np.random.default_rng(7)
     for number in range(5):
         size = float(rng.uniform(2.0, 4.0))

@@ -35,7 +35,7 @@ def test_femur_bone_muscles_insert_on_the_surface() -> None:
 
 
 def test_femur_bone_tables_are_interpolated_as_by_scipy() -> None:
-    """At and between random rows, with flat parts, turns and ends that are steep."""
+    """Values agree at and between random rows, with flat parts, turns and steep ends."""
     rng = np.random.default_rng(1)
     for n in (3, 4, 7, 12, 40):
         x, y = np.sort(rng.random(n)), np.round(rng.normal(size=(n, 4)), n % 3)

@@ -1,4 +1,4 @@
-"""A collar on the neck cut: its shape, what it rests on, and meshes of random hips."""
+"""A collar on the neck cut: its shape, its support, and meshes of random hips."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_femur_collar_lies_on_the_cut(cement: str, order: int) -> None:
 
 
 def test_femur_collar_extends_over_its_angle() -> None:
-    """16 lines: 90 deg are four spaces between them, around medial."""
+    """Of 16 lines, 90 deg are four spaces between lines, around medial."""
     data = meshed("0 mm")
     facets, *_ = interface_facets(data, "collar_bone")
     x = data.points[np.unique(facets)]
@@ -90,7 +90,7 @@ def test_femur_collar_leaves_the_bone_as_it_is() -> None:
 
 
 def random_hip(seed: int) -> tuple[Femur, MeshOptions]:
-    """A hip with a collar: cement or none, cut, version and width of stem, shoulder in and out."""
+    """A hip with a collar. Cement, cut, version and width of stem, and shoulder are random."""
     of = random.Random(seed)
     width = of.uniform(0.9, 1.1)
     keys = {

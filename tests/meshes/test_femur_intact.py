@@ -15,7 +15,7 @@ from tests.patient.bones import cut
 
 @pytest.mark.parametrize("around", [24, 28, 44])
 def test_femur_intact_surface_is_closed(around: int) -> None:
-    """Each edge of its surface is on two facets: lines on flat sides of the stem leave no hole."""
+    """Each edge of the surface is on two facets. Lines on flat sides of the stem leave no hole."""
     data = femur_intact.build(IntactFemur(), sized(6.0, around=around))
     facets, _ = exterior_facets(data.cells)
     edges = np.sort(facets[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)

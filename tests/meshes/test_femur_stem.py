@@ -33,7 +33,7 @@ def test_femur_stem_sections_are_rounded_rectangles() -> None:
 
 @pytest.mark.parametrize("thickness", [1.0, 4.0, 8.0])
 def test_femur_stem_offset_has_the_given_distance(thickness: float) -> None:
-    """Flats exactly (in the normal's direction), corners within a thousandth."""
+    """Flats have the distance exactly (along the normal), corners within a thousandth."""
     shape = femur_stem.shaft_of(GEOMETRY.implant)
     far = shape.offset(thickness)
     a, _, _ = shape.section(0.0)
@@ -58,7 +58,7 @@ def test_femur_stem_overlap_is_never_reported_as_zero() -> None:
     ],
 )
 def test_femur_stem_without_room_is_refused_with_a_length(half_width: float, words: str) -> None:
-    """At the last the cells between stem and cortex would have no volume."""
+    """At the last length the cells between stem and cortex would have no volume."""
     geometry = Femur.model_validate({"stem": {"half_width": f"{half_width} mm"}})
     with pytest.raises(GeometryError, match=words):
         LayeredSurfaces(geometry, MeshOptions.model_validate({"size": "6 mm"}))

@@ -34,7 +34,7 @@ def cube(curved: bool = False) -> MeshData:
 
 
 def read(tmp_path: Path, data: MeshData) -> MeshData:
-    """The mesh through a file."""
+    """The mesh written to a file and read."""
     path = tmp_path / "a.msh"
     meshes.write_msh(data, path)
     return meshes.build(MeshFile(path=path), MeshOptions(size="1 mm"))
@@ -47,7 +47,10 @@ def inner(data: MeshData) -> int:
 
 @pytest.mark.parametrize("corner", range(8))
 def test_imported_defects_with_inverted_cells_is_refused(corner: int, tmp_path: Path) -> None:
-    """Almost to each corner of the cube: cells turn over, and there is more volume than inside."""
+    """The node is moved almost to each corner of the cube.
+
+    Cells invert, and their volumes exceed that of the cube.
+    """
     data = cube()
     node, x = inner(data), data.points.copy()
     assert 0.0 < x[node].min() < x[node].max() < 10.0
@@ -107,7 +110,7 @@ def test_imported_defects_binary_with_nan_coordinate_is_refused(tmp_path: Path) 
 def test_imported_defects_cells_listed_inside_out_are_reoriented_with_note(
     curved: bool, share: float, tmp_path: Path
 ) -> None:
-    """The order of nodes in a cell is a matter of the program that wrote it; the place is not."""
+    """The order of nodes in a cell depends on the program; places of nodes do not."""
     data = cube(curved)
     mirror = [1, 0, 2, 3, 4, 6, 5, 9, 8, 7] if curved else [1, 0, 2, 3]
     turned = np.arange(len(data.cells)) < round(share * len(data.cells))
@@ -145,7 +148,7 @@ def test_imported_defects_volume_without_cells_is_reported(tmp_path: Path) -> No
 
 
 def tetrahedron(path: Path, last: int) -> MeshData:
-    """A file of one cell, by the number of its last node."""
+    """A file of one cell with a given number of its last node."""
     path.write_text(
         f"""$MeshFormat
 2.2 0 8
@@ -171,7 +174,7 @@ $EndElements
 
 
 def test_imported_defects_node_numbers_may_be_large(tmp_path: Path) -> None:
-    """No array is as long as the largest of them: 16 GB here."""
+    """No array has the length of the largest number, here 16 GB."""
     tracemalloc.start()
     try:
         data = tetrahedron(tmp_path / "far.msh", 2_000_000_000)
@@ -184,6 +187,6 @@ def test_imported_defects_node_numbers_may_be_large(tmp_path: Path) -> None:
 def test_imported_defects_child_process_returns_no_pickle(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whatever a file has made gmsh do, nothing of it runs here."""
+    """A script inside a mesh file is not executed."""
     monkeypatch.setattr(pickle, "loads", lambda _: pytest.fail("a pickle was read"))
     assert len(read(tmp_path, cube()).points) == len(cube().points)

@@ -1,4 +1,4 @@
-"""Geometry from gmsh scripts: names read from the text, sizes handed in, meshed like the rest."""
+"""Geometry from gmsh scripts: names from the text, sizes of the case, usual meshes."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ HOLE = {"hole": (("pin",), ("plate",))}
 
 @pytest.fixture(autouse=True)
 def allowed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As --allow-scripts does."""
+    """Allow scripts, like --allow-scripts."""
     monkeypatch.setenv(ALLOWED, "1")
 
 
@@ -49,7 +49,7 @@ def options(**values: object) -> MeshOptions:
 
 
 def test_imported_scripts_names_are_read_from_the_text(tmp_path: Path) -> None:
-    """In the order of the script, without what is in comments."""
+    """Names are in the order of the script, without those in comments."""
     path = script(tmp_path, LAYERS)
     assert physical_names(path, 3) == ("low", "high")
     assert physical_names(path, 2) == ("base", "top", "between")
@@ -72,7 +72,7 @@ def test_imported_scripts_are_meshed_with_the_sizes_of_the_case(tmp_path: Path) 
 
 
 def test_imported_scripts_get_sizes_in_their_unit(tmp_path: Path) -> None:
-    """The same script in cm with ten times the size is the same mesh, ten times as large."""
+    """The same script in cm with ten times the size gives the same mesh, ten times as large."""
     path = script(tmp_path, PIN)
     millimetres, centimetres = (
         MeshFile(path=path, unit=unit, interfaces=HOLE) for unit in ("mm", "cm")
@@ -84,7 +84,7 @@ def test_imported_scripts_get_sizes_in_their_unit(tmp_path: Path) -> None:
 
 
 def test_imported_scripts_get_parameters_of_the_case(tmp_path: Path) -> None:
-    """A constant of the script changes the mesh; unknown constants and sizes are refused."""
+    """A constant of the script changes the mesh. Unknown constants and sizes are refused."""
     declared = PIN.replace("[ size = 1 ]", "[ size = 1, radius = 2 /* mm */ ]")
     path = script(tmp_path, declared.replace("5, 2}", "5, radius}"))
 
@@ -104,7 +104,7 @@ def test_imported_scripts_get_parameters_of_the_case(tmp_path: Path) -> None:
 def test_imported_scripts_of_second_order_have_curved_cells(
     text: str, curved: bool, tmp_path: Path
 ) -> None:
-    """As everywhere else: by default. The pin's volume is known, and flat faces need no bend."""
+    """Cells are curved by default. The pin's volume is known, and flat faces stay flat."""
     script(tmp_path, text)
     (tmp_path / "case.yaml").write_text(
         re.sub("low|high", lambda m: {"low": "pin", "high": "plate"}[m[0]], CASE)
@@ -122,7 +122,7 @@ def test_imported_scripts_of_second_order_have_curved_cells(
 
 
 def test_imported_scripts_are_cached_by_their_content(tmp_path: Path) -> None:
-    """Also what a script that it names has in quotes, but nothing outside its folder."""
+    """The content includes scripts that a script names in quotes, if they are in its folder."""
     folder = tmp_path / "own"
     folder.mkdir()
     path = script(folder, PIN + 'Merge "parts/pin.geo"; Merge "../foreign.step";\n')
@@ -152,7 +152,7 @@ def test_imported_scripts_are_cached_by_their_content(tmp_path: Path) -> None:
 
 
 def test_imported_scripts_use_files_of_their_folder(tmp_path: Path) -> None:
-    """Scripts and other files, each named from where it is named."""
+    """A script uses scripts and other files. Each path is relative to the file that names it."""
     (tmp_path / "parts").mkdir()
     (tmp_path / "parts" / "pin.geo").write_text('SetFactory("OpenCASCADE"); Merge "pin.brep";\n')
     with session("pin") as gmsh:
@@ -169,7 +169,7 @@ def test_imported_scripts_use_files_of_their_folder(tmp_path: Path) -> None:
 
 
 def test_imported_scripts_with_changed_files_are_refused(tmp_path: Path) -> None:
-    """Meshes are of the files that cache and provenance name."""
+    """The mesh must be that of the files that cache and provenance name."""
     geometry = MeshFile(path=script(tmp_path, PIN), interfaces=HOLE)
     assert geometry.content
     script(tmp_path, PIN.replace("5, 2}", "5, 3}"))
@@ -178,7 +178,7 @@ def test_imported_scripts_with_changed_files_are_refused(tmp_path: Path) -> None
 
 
 def test_imported_scripts_layers_are_solved(tmp_path: Path) -> None:
-    """Pressed evenly without Poisson's effect: u_z = -p z / E, across the joint too."""
+    """Uniform pressure without Poisson's effect gives u_z = -p z / E, across the joint too."""
     script(tmp_path, LAYERS)
     case = load(tmp_path / "case.yaml").config
     solved = support.solve(case)
@@ -213,7 +213,7 @@ def test_imported_scripts_refused_unread(text: str, expected: str, tmp_path: Pat
     ids=["unknown variable", "syntax", "no such volume"],
 )
 def test_imported_scripts_that_fail_are_reported(text: str, expected: str, tmp_path: Path) -> None:
-    """In a separate process: gmsh reads no script correctly after one that failed."""
+    """Each script runs in a separate process, because gmsh misreads scripts after a failed one."""
     script(tmp_path, text)
     command = ["-m", "mantle", "mesh", tmp_path / "case.yaml", "-o", tmp_path / "out"]
     done = support.python(*command, code=3, XDG_CACHE_HOME=str(tmp_path))

@@ -1,4 +1,4 @@
-"""A mantle whose thickness goes with height and side."""
+"""A mantle whose thickness varies with height and side."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def sides(theta: Floats, part: Floats) -> Floats:
 
 @pytest.mark.parametrize("kind", ["femur", "sides", "cad", "patient"])
 def test_mantle_graded_nodes_have_the_local_thickness(kind: str, tmp_path: Path) -> None:
-    """Distance from dense points of the stem, far from the cortex and from the file's neck."""
+    """The distance is from dense points of the stem, far from cortex and neck."""
     given, asked = (SIDES, sides) if kind == "sides" else (BOTH, both)
     if kind == "patient":
         write(tmp_path / "bone.stl", parametric_femur())

@@ -1,4 +1,4 @@
-"""Meshes of blocks, cylinders and files: names, sizes, quality, cache, order, pictures."""
+"""Meshes of any geometry: imports, equality in processes, order of nodes, refused contact."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_meshes_have_canonical_order_without_unused_nodes(rod: MeshData) -> None
 def test_meshes_stem_that_meets_bone_through_cement_is_refused(
     rod: MeshData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of any geometry: a stem that meets bone through its cement, here near the top."""
+    """Any geometry is refused if its stem meets bone through its cement, here near the top."""
     centres = rod.points[rod.cells[:, :4]].mean(axis=1)
     cement = rod.cell_tags == rod.regions["cement"]
     hole = cement & (centres[:, 2] > 15) & (centres[:, 0] > 0)

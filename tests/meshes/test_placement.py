@@ -22,7 +22,7 @@ from tests.patient.patients import made, options, patient
 
 
 def test_placement_flexion_moves_the_tip_to_posterior() -> None:
-    """The tip of a straight stem is its distance from the cut times the sine behind the axis."""
+    """The tip of a straight stem is behind the axis by its distance from the cut times the sine."""
     angle = math.radians(3.0)
     placement = CUT.put(IMPLANT, replace(START, flexion=angle), False)
     tip = placement.to_model([0.0, 0.0, IMPLANT.tip_z])
@@ -60,7 +60,7 @@ def femur(**changes: Any) -> Femur:
 
 @pytest.mark.parametrize("kind", ["parametric", "file"])
 def test_placement_moves_the_stem_but_not_the_bone(kind: str, tmp_path: Path) -> None:
-    """Nodes on the body turned by hand, and on the function of the periosteum."""
+    """Nodes are on the body rotated by hand, and on the function of the periosteum."""
     file = (
         {"stem": {"step": cad_stems.write("parametric", tmp_path, neck=NECK)}}
         if kind == "file"
@@ -100,10 +100,10 @@ def test_placement_depth_is_that_of_the_shoulder() -> None:
 
 @pytest.mark.parametrize("kind", ["femur", "patient", "file"])
 def test_placement_shoulder_below_the_cut_has_cement_above(kind: str, folder: Path) -> None:
-    """The same metal at any depth. Its top begins at the edge, and ends at the cut.
+    """The metal is the same at any depth. Its top begins at the edge, and ends at the cut.
 
-    By hand: the file's is flat and 11 mm long; the parametric one has 7.61 mm in 21.24 mm to the
-    neck, and is 7.9 mm long.
+    The top of the file's stem, by hand, is flat and 11 mm long. That of the parametric one has 7.61
+    mm in 21.24 mm to the neck, and is 7.9 mm long.
     """
     given: dict[str, Any] = {"cement_thickness": "3 mm"}
     if kind == "file":

@@ -42,7 +42,7 @@ def test_quality_check_names_region_place_and_value(rod: MeshData) -> None:
 
 
 def test_quality_relaxation_moves_only_free_nodes_of_poor_cells() -> None:
-    """A node among the corners of a cube is put far outside of it, and comes back."""
+    """A node among the corners of a cube is moved far outside of the cube, and returns."""
     corners = np.array(list(product((0.0, 1.0), repeat=3)))
     faces = ConvexHull(corners).simplices
     outward = np.cross(
@@ -83,7 +83,10 @@ def test_quality_relaxation_moves_only_free_nodes_of_poor_cells() -> None:
 def test_quality_poor_cells_are_refused_with_a_size_that_meshes(
     works: Callable[[Any, Any], bool], remedy: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One near the given one, within the far size; where none does, all that were tried."""
+    """The size is near the given one, within the far size.
+
+    If none meshes, the message lists all tried sizes.
+    """
 
     def checked(mesher: Any, geometry: Any, mesh: Any) -> None:
         if not works(geometry, mesh):

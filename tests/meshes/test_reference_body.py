@@ -10,7 +10,10 @@ from meshes import reference_body
 
 
 def test_reference_body_volumes_and_coordinates() -> None:
-    """Volume by region of straight rings about an ellipse, and linear mean value coordinates."""
+    """Regions have the volumes of straight rings about an ellipse.
+
+    Coordinates are linear mean value ones.
+    """
     turn = 2 * np.pi * np.arange(9) / 9
     outline = np.stack([5 * np.cos(turn), 3 * np.sin(turn)], axis=1)
     segments = (

@@ -1,4 +1,4 @@
-"""The femur's layers: exact surfaces, sizes, first attempts, the same bytes everywhere."""
+"""The femur's layers: exact surfaces, sizes, first attempts, equal meshes on all machines."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from tests.support import digest
 @pytest.mark.parametrize("curved", [False, True])
 @pytest.mark.parametrize("thickness", [2.0, 4.0])
 def test_swept_nodes_are_on_exact_surfaces(thickness: float, curved: bool) -> None:
-    """Stem's body everywhere; the mantle's outer side but where a layer ends."""
+    """The stem's body is exact everywhere, the mantle's outer side except at the end of a layer."""
     data = built(6.0, curved, cement_thickness=thickness)
     geometry = hip(cement_thickness=thickness)
     body = femur_stem.shaft_of(geometry.implant)
@@ -83,7 +83,7 @@ def test_swept_nodes_are_on_exact_surfaces(thickness: float, curved: bool) -> No
 
 @pytest.mark.parametrize("build", [femur.build, femur_intact.build])
 def test_swept_anteversion_rotates_stem_not_bone(build: Any) -> None:
-    """By 15 degrees to anterior: what is of the stem turns, the outside of the bone stays."""
+    """The stem turns by 15 degrees to anterior; the outside of the bone stays."""
     angle = np.deg2rad(15.0)
     kind = Femur if build is femur.build else IntactFemur
     geometry = kind().model_copy(update={"anteversion": angle})
@@ -110,7 +110,10 @@ def test_swept_anteversion_rotates_stem_not_bone(build: Any) -> None:
 
 @pytest.mark.parametrize("fillet", [3.0, 6.0])
 def test_swept_stem_joins_the_neck_with_the_fillet(fillet: float) -> None:
-    """Least radius, by differences along lines, which have no corners from the shoulder on."""
+    """The least radius comes from differences along lines.
+
+    These have no corners above the shoulder.
+    """
     upper = Surfaces(hip(neck_fillet=fillet), sized(4.0)).stem.upper
     s = np.linspace(upper.ends[0], upper.ends[-1], 40001)
     turning = ((s > upper.ends[1]) & (s < upper.ends[2]))[1:-1]
@@ -126,7 +129,7 @@ def test_swept_stem_joins_the_neck_with_the_fillet(fillet: float) -> None:
 
 
 def test_swept_void_below_the_tip_has_no_cement() -> None:
-    """As far as asked for, over the section of the stem; nothing bears on the end."""
+    """The void has the given height over the section of the stem. Nothing bears on the end."""
     data, full = built(6.0, True, tip_void=5.0), built(6.0, True, tip_rounding=0.0)
     left, whole = (region_volumes(d)["cement"] for d in (data, full))
     a, b, r = femur_stem.shaft_of(hip().implant).section(np.linspace(-123.0, -118.0, 1001))
@@ -141,7 +144,7 @@ def test_swept_void_below_the_tip_has_no_cement() -> None:
 
 @pytest.mark.parametrize("least_size", [5.0, pytest.param(1.5, marks=pytest.mark.slow)])
 def test_swept_unknowns_grow_steadily_with_refinement(least_size: float) -> None:
-    """Five per cent smaller cells: at most two fifths more nodes, from 10 mm on."""
+    """Cells smaller by five per cent give at most two fifths more nodes, from 10 mm on."""
     sizes = 10.0 * 0.95 ** np.arange(int(np.log(least_size / 10.0) / np.log(0.95)) + 1)
     nodes = np.array([len(femur.build(hip(), sized(float(s), order=1)).points) for s in sizes])
     assert (nodes[1:] / nodes[:-1]).max() < 1.4
@@ -149,7 +152,7 @@ def test_swept_unknowns_grow_steadily_with_refinement(least_size: float) -> None
 
 @pytest.mark.parametrize(("size", "lines"), [(8.0, 28), (6.0, 36), (5.0, 44), (4.0, 56)])
 def test_swept_size_sets_lines_and_steps(size: float, lines: int) -> None:
-    """Distances of lines are a fraction of the size where lines are counted; steps are the size."""
+    """Distances of lines are a fraction of the size; steps are the size."""
     surfaces = Surfaces(hip(), sized(size))
     assert surfaces.around == lines
     a, b, r = surfaces.stem.shaft.section(surfaces.stem.middle)
@@ -175,7 +178,7 @@ def test_swept_lines_are_closer_in_thin_cement(thickness: float, ratio: float) -
 
 
 def test_swept_lines_and_steps_have_separate_lengths() -> None:
-    """A distance of lines, a step along, and the rest of the mesh by the size."""
+    """The case gives a distance of lines and a step. The size applies to the rest."""
     base, given = (
         Surfaces(hip(), sized(6.0, **more)) for more in ({}, {"around": "2.2 mm", "along": "3 mm"})
     )
@@ -191,7 +194,7 @@ def test_swept_lines_and_steps_have_separate_lengths() -> None:
     [(16, [1, 2, 1]), (24, [1, 3, 2]), (28, [1, 4, 2]), (36, [2, 4, 3]), (44, [2, 5, 4])],
 )
 def test_swept_lines_follow_the_ends_of_arcs(around: int, pieces: list[int]) -> None:
-    """Of half a side, the corner's arc and half a front, in level and in oblique sections."""
+    """Arcs are half a side, the corner and half a front, in level and in oblique sections."""
     surfaces = Surfaces(hip(), sized(6.0, around=around))
     ends = np.array([pieces[0], pieces[0] + pieces[1]]) / around
     for zeta, slope in product(np.linspace(-117.0, 20.0, 30), (0.0, 0.7)):
@@ -212,7 +215,7 @@ def test_swept_lines_leave_arcs_of_round_sections() -> None:
 
 
 def test_swept_lines_and_cells_through_cement_can_be_given() -> None:
-    """Any number of lines, even an odd one; several cells through each layer."""
+    """The case gives any number of lines, even an odd one, and several cells through each layer."""
     data = femur.build(hip(), sized(6.0, True, around=13, through_cement=3))
     notes = data.notes["layers"]
     assert (notes["lines_around"], notes["cells_through"][0]) == (13, 3)
@@ -279,7 +282,7 @@ def random_hip(rng: np.random.Generator) -> tuple[dict[str, float], float, bool]
     [(20, 20, 5.01), pytest.param(200, 200, 2.0, marks=pytest.mark.slow)],
 )
 def test_swept_random_hips_mesh_at_first_attempt(seed: int, number: int, least_size: float) -> None:
-    """Hips that anatomy forbids are refused in words; all others mesh, and well."""
+    """Anatomically impossible hips are refused with a reason. All others have good meshes."""
     rng = np.random.default_rng(seed)
     made = refused = 0
     while made < number:
@@ -304,7 +307,7 @@ def test_swept_random_hips_mesh_at_first_attempt(seed: int, number: int, least_s
 
 
 def test_swept_random_hips_mesh_as_companions() -> None:
-    """With four lines around no cell is inverted, curved or not."""
+    """A mesh with four lines around has no inverted cell, curved or not."""
     rng = np.random.default_rng(7)
     for _ in range(12):
         values, _, curved = random_hip(rng)
@@ -317,7 +320,7 @@ def test_swept_random_hips_mesh_as_companions() -> None:
 
 
 def test_swept_stem_of_any_length_meshes() -> None:
-    """172 mm, which had none, and one from the shelf that stands out of a low cut."""
+    """One stem of 172 mm had no mesh before. Another one stands out of a low cut."""
     assert built(6.0, length=172.0, tip_z=-143.0).cells.size
     levels = {"section_depth": 32.0, "head_height": 7.0}
     resection = FemurResection(height="-10 mm", angle="0.3 rad")
@@ -327,7 +330,7 @@ def test_swept_stem_of_any_length_meshes() -> None:
 
 @pytest.mark.parametrize(("size", "curved"), [(6.0, False), (4.0, True)])
 def test_swept_low_head_neck_is_clear_of_bone(size: float, curved: bool) -> None:
-    """At 45 mm, with all else as it is: the neck passes 2 mm above the bone, in good cells."""
+    """A head at 45 mm moves the neck 2 mm above the bone, in good cells."""
     data = built(size, curved, head_height=16.0)
     cut = data.points[np.unique(boundary_facets(data, "resection"))]
     middle = cut.mean(axis=0)
@@ -367,7 +370,7 @@ def test_swept_impossible_geometry_is_refused(values: dict[str, float], words: s
 
 
 def test_swept_section_that_is_not_star_shaped_is_refused() -> None:
-    """A ledge in the canal, which a line to the turned neck cut meets three times."""
+    """A line to the turned neck cut meets a ledge in the canal three times."""
     surfaces = _plain()
 
     class Ledged(FemurBone):
@@ -404,7 +407,7 @@ def test_swept_size_estimate_is_within_an_eighth(kind: Any, size: float) -> None
 
 
 def test_swept_patches_have_the_area_of_discs() -> None:
-    """To half a facet, at any size."""
+    """The area agrees to half a facet, at any size."""
     for size in (8.0, 6.0, 3.0):
         data = built(size)
         for name in MUSCLES:

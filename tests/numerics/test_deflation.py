@@ -21,7 +21,7 @@ def moving(displacement: PETSc.Mat, jump: PETSc.Mat) -> CoarseSpace:
 
 
 def test_deflation_is_exact_for_its_motions() -> None:
-    """Whatever the other preconditioner does, A Z comes back as Z, of each Jacobian."""
+    """Deflation solves exactly for its motions Z."""
     random = np.random.default_rng(1)
     sizes = {"heat": 2, "displacement": 6, "jump": 6}
     shapes = [[(n, m) for m in sizes.values()] for n in sizes.values()]

@@ -40,7 +40,7 @@ stages: [{name: push, increments: 2}]
 def test_krylov_remedies_factor_interfaces_then_stiffness(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """Where the linear solver gives up; the log says so."""
+    """The linear solver fails. The log names the remedies."""
     never = "solver.petsc={ksp_max_it: 1, ksp_rtol: 1e-12}"
     with caplog.at_level(logging.INFO, logger="mantle"), pytest.raises(ConvergenceError):
         support.solve(PUSHED, never, "solver.linear=multigrid", "stages.0.adaptive=false")
@@ -82,7 +82,7 @@ output: {fields: false}
 def test_krylov_iterations_do_not_grow_with_the_compliance_of_a_layer(
     tmp_path: Path, modulus: float, layer: float
 ) -> None:
-    """Sticking contact is soft where its layer is; the mean penetration is F/(k A)."""
+    """Sticking contact is soft like its layer. The mean penetration is F/(k A)."""
     (tmp_path / "case.yaml").write_text(LAYERED)
     changes = [f"regions.{name}.youngs_modulus={modulus} GPa" for name in ("lower", "upper")]
     changes += [
@@ -96,7 +96,10 @@ def test_krylov_iterations_do_not_grow_with_the_compliance_of_a_layer(
 
 
 def test_krylov_condition_number_equals_that_of_the_matrix(tagged: TaggedMesh) -> None:
-    """Largest over smallest singular value, and the Krylov solver stays as it was."""
+    """The number is the largest over the smallest singular value.
+
+    The Krylov solver keeps its state.
+    """
     problem, solver = support.assemble(support.case(BLOCK), tagged)
     problem.set_time(1.0)
     solve(solver)

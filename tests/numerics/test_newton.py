@@ -20,13 +20,16 @@ from tests.numerics.blocks import BLOCK
 def test_newton_step_of_zero_length_is_not_converged(
     more: tuple[str, ...], tagged: TaggedMesh
 ) -> None:
-    """Also with PETSc's tolerance for short steps (`snes_stol`)."""
+    """The result is the same with PETSc's tolerance for short steps (`snes_stol`)."""
     with pytest.raises(ConvergenceError):
         support.solve(BLOCK, "solver.petsc.ksp_atol=1e9", *more, tagged=tagged)
 
 
 def test_newton_linear_tolerances_follow_changes_of_state(tagged: TaggedMesh) -> None:
-    """Rough while many points change, finer when few do, and what the next residual asks for."""
+    """The tolerance is rough while many points change, and finer if few do.
+
+    It follows the next residual.
+    """
     problem, solver = support.assemble(support.case(BLOCK, "solver.tolerance=1e-10"), tagged)
     n = len(problem.contact.points.weight)
     solver.active.add(np.zeros(n, dtype=np.int64))
@@ -73,7 +76,7 @@ def test_newton_keeps_a_given_linear_tolerance(tagged: TaggedMesh) -> None:
 
 
 def test_newton_line_search_ends_without_descent(tagged: TaggedMesh) -> None:
-    """Ten halvings of a step uphill, and PETSc says that the line search has failed."""
+    """After ten halvings of a step uphill PETSc reports that the line search has failed."""
     problem, solver = support.assemble(support.case(BLOCK), tagged)
     problem.set_time(1.0)
     solver.residual(solver.x)
@@ -90,7 +93,10 @@ def test_newton_line_search_ends_without_descent(tagged: TaggedMesh) -> None:
 
 
 def test_newton_residual_that_is_not_finite_is_a_failure(tagged: TaggedMesh) -> None:
-    """A start is no better, a residual by an overflow is a failure with a reason."""
+    """A start with an infinite residual is not used.
+
+    A residual that overflows is a failure with a reason.
+    """
     problem, solver = support.assemble(support.case(BLOCK), tagged)
     problem.set_time(1.0)
     x = solver.vector()

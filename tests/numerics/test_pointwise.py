@@ -1,4 +1,4 @@
-"""Expressions at points of no mesh: order, shapes, inputs kept, ranks without points."""
+"""Expressions at points of no mesh: order, shapes, kept inputs, ranks without points."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_pointwise_without_points_gives_empty_arrays() -> None:
 
 
 def test_pointwise_compiled_law_is_found_without_building(tmp_path: Path) -> None:
-    """And is built where its note tells of code that is not there, or of nothing."""
+    """A law is built again if its note names code that is missing, or is damaged."""
     built: list[int] = []
 
     def law(x: dict[str, Any]) -> list[Any]:

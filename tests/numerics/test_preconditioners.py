@@ -30,7 +30,7 @@ stages: [{name: push}]
 
 
 def problem(size: float = 3.0) -> SimpleNamespace:
-    """The block: displacement space, stiffness, and which unknowns supports hold."""
+    """The block: displacement space, stiffness, and unknowns that supports hold."""
     result = support.assemble(support.case(BLOCK, f"mesh.size={size} mm"))[0]
     K, constraints = result.stiffness.K, result.stiffness.constraints
     return SimpleNamespace(space=result.space, K=K, held=constraints.constrained)
@@ -68,7 +68,7 @@ def test_preconditioners_multigrid_by_degree_separates_held_and_free_unknowns() 
 def test_preconditioners_multigrid_by_degree_iterations_are_independent_of_mesh(
     factored_below: bool,
 ) -> None:
-    """Conjugate gradients to 1e-10; a factorization solves the same equations."""
+    """Conjugate gradients converge to 1e-10; a factorization solves the same equations."""
     counts = []
     for size in (4.0, 2.0):
         fine = problem(size)

@@ -1,4 +1,4 @@
-"""Remedies of a nonlinear solve that does not converge."""
+"""Remedies for a nonlinear solve that does not converge."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.numerics.blocks import BLOCK
 
 
 def test_remedies_limits_of_friction_are_the_given_ones() -> None:
-    """Without pressures nothing rubs; under those of the solution the solution is the same."""
+    """Zero pressures give no friction. Pressures of the solution give the same solution."""
     problem, solver = support.assemble(support.case(support.STEM))
     contact = solver.system.contact
     problem.set_time(1.0)
@@ -47,7 +47,10 @@ def test_remedies_limits_of_friction_are_the_given_ones() -> None:
 def test_remedies_find_the_same_equilibrium_beyond_the_critical_friction(
     friction: float, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Five times the critical coefficient of 1.4: each solver finds it, by the same path."""
+    """The coefficient is five times the critical one of 1.4.
+
+    Each solver finds the solution on the same path.
+    """
     names = ("stem_cement", "cement_bone")
     changes = [f"interfaces.{name}.friction_coefficient={friction}" for name in names]
     motions = []
@@ -64,7 +67,7 @@ def test_remedies_find_the_same_equilibrium_beyond_the_critical_friction(
 
 
 def test_remedies_return_to_sor_after_a_converged_step(tagged: TaggedMesh) -> None:
-    """Factors are for a Newton iteration that fails, not for all that come after it."""
+    """Factors serve a Newton iteration that fails, not all later ones."""
     problem, solver = support.assemble(support.case(BLOCK), tagged)
     problem.set_time(1.0)
     krylov = solve(solver).linear_iterations

@@ -8,7 +8,7 @@ from app.numerics.rigid_motions import describe, rigid_modes
 
 
 def test_rigid_motions_free_ones_are_named() -> None:
-    """One body along an axis, two bodies together, and about an axis that has no name."""
+    """One body moves along an axis, two bodies move together, or about an axis without a name."""
     centres, names = np.array([[1.0, 2, 3], [4.0, 0, -1]]), ["'a'", "'b'"]
     origin, size = np.array([0.5, 0.5, 0.5]), 10.0
 

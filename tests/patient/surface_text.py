@@ -29,7 +29,7 @@ def stl_text(corners: Any, name: str = "femur") -> str:
 
 
 def obj_vertices(points: Any, more: Callable[[int], str] = lambda k: "") -> str:
-    """Vertices of an OBJ file, each with more behind it."""
+    """Vertices of an OBJ file, each followed by more values."""
     lines = ("v {:.9g} {:.9g} {:.9g}".format(*x) + more(k) for k, x in enumerate(points))
     return "".join(f"{line}\n" for line in lines)
 
@@ -58,7 +58,7 @@ def ply_text(
     before: str = "",
     after: str = "",
 ) -> str:
-    """A text PLY file; other properties stand before and after the corners of each face."""
+    """A text PLY file. Other properties are before and after the corners of each face."""
     faces = surface.triangles.tolist() if faces is None else faces
     rows = [("vertex", len(surface.points), PLACE), ("face", len(faces), properties)]
     points = "".join("{:.9g} {:.9g} {:.9g}\n".format(*x) for x in surface.points)
@@ -74,7 +74,7 @@ def ply_binary(
     after: bytes = b"",
     order: str = "<",
 ) -> bytes:
-    """The same as a binary file."""
+    """The same file in binary."""
     faces = surface.triangles.tolist() if faces is None else faces
     kind = {"<": "binary_little_endian", ">": "binary_big_endian"}[order]
     rows = [("vertex", len(surface.points), PLACE), ("face", len(faces), properties)]
@@ -84,7 +84,7 @@ def ply_binary(
 
 
 def quads(surface: BoneSurface, above: float) -> tuple[Any, list[list[int]]]:
-    """Points and faces with triangles above a level as three quads each, about their middles.
+    """Points and faces. Triangles above a level are three quads each, about their middles.
 
     The edges at the level are divided on their upper side alone.
     """
@@ -121,7 +121,7 @@ def volume(corners: Any) -> float:
 
 
 def damaged(rng: random.Random, content: bytes) -> bytes:
-    """A file cut, or with other bytes in it."""
+    """A file that is cut, or has other bytes in it."""
     for _ in range(rng.choice((1, 1, 2, 6))):
         at = rng.randrange(len(content) + 1)
         start = rng.randrange(min(400, len(content)) + 1)

@@ -80,14 +80,14 @@ def test_bone_surface_many_triangles_are_thinned(
 
 
 def test_bone_surface_refuses_places_where_digits_are_lost(tmp_path: Path) -> None:
-    """At ten kilometres numbers of four bytes have steps of 1 mm."""
+    """Numbers of four bytes have steps of 1 mm at ten kilometres."""
     path = stl(tmp_path, parametric_femur().corners + 1e7)
     with pytest.raises(GeometryError, match=r"coordinates reach 1e\+07 mm, .* to the origin"):
         bone_surface.read(path)
 
 
 def test_bone_surface_spike_has_a_note(tmp_path: Path) -> None:
-    """A corner with a damaged number, 60 mm beside its place."""
+    """A corner with a damaged number is 60 mm from its place."""
     bone = parametric_femur()
     points = bone.points.copy()
     points[1200, 0] += 60.0
@@ -104,7 +104,7 @@ def test_bone_surface_with_a_body_inside_says_so(tmp_path: Path) -> None:
 
 
 def test_bone_surface_note_on_an_open_proximal_end(tmp_path: Path) -> None:
-    """The top of the head is missing; one triangle of it; the shaft is cut."""
+    """The top of the head is missing, or one triangle of it. The shaft is cut."""
     corners = parametric_femur().corners
     high = corners[:, :, 2].max(axis=1)
     for kept, edges in ((high < 60.0, 32), (np.arange(len(corners)) != high.argmax(), 3)):

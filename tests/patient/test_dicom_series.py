@@ -67,7 +67,7 @@ def without_preamble(folder: Path) -> None:
 
 
 def without_meta(folder: Path) -> None:
-    """As old programs write: neither preamble nor the group that names the syntax."""
+    """Write files like old programs, without preamble and without the group of the syntax."""
     for file in folder.iterdir():
         data = pydicom.dcmread(file)
         data.is_implicit_VR, data.is_little_endian = True, True
@@ -97,9 +97,9 @@ def subfolder(folder: Path) -> None:
 
 
 def stored_in(bits: int, signed: bool, shift: int = 0, above: int = 0) -> Callable[[Path], None]:
-    """Store the numbers in few bits, from bit `shift` on, and something else above them.
+    """Store the numbers in few bits, from bit `shift` on, with other data above them.
 
-    By DICOM PS3.5, 8.1.1. The CT numbers become whole.
+    DICOM PS3.5, 8.1.1 allows this. The CT numbers become integers.
     """
 
     def alter(folder: Path) -> None:
@@ -323,7 +323,7 @@ def framed(tmp_path: Path) -> Path:
 
 
 def test_dicom_series_frames_of_a_file_are_slices(framed: Path) -> None:
-    """Given as the file, in a folder, and in one with other files."""
+    """The path is the file, a folder with it, or a folder with it and other files."""
     images_of = [images.read(framed)]
     folder = framed.parent / "alone"
     folder.mkdir()
@@ -344,7 +344,7 @@ def test_dicom_series_frames_of_a_file_are_slices(framed: Path) -> None:
 
 
 def test_dicom_series_files_of_frames_are_joined(framed: Path, tmp_path: Path) -> None:
-    """A series of two files: the lower slices in one, the upper in the other."""
+    """A series has two files: the lower slices in one, the upper in the other."""
     folder = tmp_path / "two"
     folder.mkdir()
     for name, rows in (("a", slice(0, 5)), ("b", slice(5, 8))):

@@ -30,7 +30,7 @@ def nifti(
     values: Any = VALUES,
     pixdim: Any = None,
 ) -> Path:
-    """An image whose sform, qform and pixdim are given, with their codes."""
+    """An image with given sform, qform and pixdim, and their codes."""
     image = nibabel.Nifti1Image(values, None)
     header = image.header
     header.set_qform(PLACES if qform is None else qform, codes[1])
@@ -105,7 +105,7 @@ def test_images_of_other_formats_are_named(tmp_path: Path) -> None:
 def test_images_nifti_may_be_unpacked_under_its_name(
     names: tuple[str, str], version: int, tmp_path: Path
 ) -> None:
-    """As browsers do, or the other way round."""
+    """Browsers unpack files and keep their names, or the reverse."""
     kind = {1: nibabel.Nifti1Image, 2: nibabel.Nifti2Image}[version]
     kind(VALUES, PLACES).to_filename(tmp_path / names[0])
     image = images.read((tmp_path / names[0]).rename(tmp_path / names[1]))
@@ -125,7 +125,7 @@ SHAPES: dict[str, tuple[Any, str]] = {
 def test_images_of_times_or_of_one_slice_are_refused(
     name: str, suffix: str, tmp_path: Path
 ) -> None:
-    """Times are no slices."""
+    """Times are not slices."""
     values, message = SHAPES[name]
     path = tmp_path / f"ct.{suffix}"
     if suffix == "npz":
@@ -167,7 +167,7 @@ def test_images_files_of_other_kinds_have_a_remedy(name: str, tmp_path: Path) ->
 
 
 def test_images_header_and_numbers_in_two_files_are_both_its_files(tmp_path: Path) -> None:
-    """A change of either is a change of the image."""
+    """A change of either file changes the image."""
     nibabel.Nifti1Pair(VALUES, PLACES).to_filename(tmp_path / "ct.img")
     header, numbers = tmp_path / "ct.hdr", tmp_path / "ct.img"
     assert {*images.files_of(header)} == {header, numbers}
@@ -180,7 +180,7 @@ def test_images_header_and_numbers_in_two_files_are_both_its_files(tmp_path: Pat
 
 
 def test_images_padding_is_no_air(tmp_path: Path) -> None:
-    """Numbers below -1500 stand where nothing was measured."""
+    """Numbers below -1500 stand for missing data."""
     values = np.maximum(VALUES, -900)
     values[:2] = -2000
     np.savez(tmp_path / "ct.npz", values=values, affine=PLACES)
@@ -211,7 +211,7 @@ def test_images_nan_voxels_matter_only_where_needed(
 
 
 def test_images_damaged_files_are_read_or_refused(folder: Path, tmp_path: Path) -> None:
-    """No other error, of 150 files: NIfTI plain and compressed, arrays, slices, labels of them."""
+    """There is no other error in 150 files: NIfTI plain and compressed, arrays, slices, labels."""
     slice_file = folder / "1.2.3"
     paths = {
         "nii": nifti(tmp_path / "ct.nii"),

@@ -1,4 +1,4 @@
-"""Labels of segmentations: layers of segments that overlap, and labels that are none."""
+"""Labels of segmentations: layers of overlapping segments, and images without labels."""
 
 from __future__ import annotations
 
@@ -67,7 +67,10 @@ def test_label_image_side_follows_from_the_name(name: str, side: str | None) -> 
 
 @pytest.mark.parametrize("name", LAYERS)
 def test_label_image_segments_that_overlap_are_whole(name: str, tmp_path: Path) -> None:
-    """As 3D Slicer writes them: in layers, with labels that repeat, or a layer each."""
+    """3D Slicer writes overlapping segments in layers.
+
+    Labels repeat, or each segment has a layer.
+    """
     layers, segments, list_first, number, canal_number = LAYERS[name]
     path = nrrd_files.segmentation(tmp_path / "s.seg.nrrd", layers, segments, list_first)
     femur = segmentation.femur(path, None, None)
@@ -114,14 +117,14 @@ def test_label_image_numbers_of_interpolation_are_no_label(
 
 
 def test_label_image_smaller_labels_around_a_label_are_accepted(tmp_path: Path) -> None:
-    """Eight muscles around a bone, as sectors."""
+    """Eight muscles surround a bone, like sectors."""
     sector = 1 + (4.0 + 4.0 * np.arctan2(GRID[1], GRID[0]) / np.pi).astype(int) % 8
     labels = label_image.read(labelled(tmp_path, np.where(BONE, 20, sector)))
     assert (labels.inside(20) == BONE).all()
 
 
 def test_label_image_refuses_a_ct(tmp_path: Path) -> None:
-    """It has the label 1 by chance, in a few voxels."""
+    """A few voxels of the CT have the number 1."""
     numbers = np.random.default_rng(0).integers(-1000, 1500, BONE.shape, dtype=np.int16)
     path = labelled(tmp_path, numbers)
     for read in (label_image.read, segmentation.segments):

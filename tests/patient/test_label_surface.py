@@ -37,7 +37,7 @@ def test_label_surface_nearly_integer_labels_are_rounded(
 
 
 def test_label_surface_interpolated_labels_are_refused(tmp_path: Path) -> None:
-    """As linear interpolation leaves them at borders."""
+    """Linear interpolation leaves such labels at borders."""
     values = 0.5 * (LABELS + np.roll(LABELS, 1, axis=0))
     between = int((values % 1 > 0).sum())
     with pytest.raises(
@@ -59,7 +59,7 @@ def test_label_surface_nan_labels_are_background(tmp_path: Path) -> None:
 
 
 def test_label_surface_knows_where_the_image_cuts_the_body(tmp_path: Path) -> None:
-    """The ball of radius 9 with its upper third and a side cut off."""
+    """A ball of radius 9 lacks its upper third and a side."""
     whole_body = label_surface.body(labelled(tmp_path, LABELS > 0), 1)
     assert whole_body.borders == ()
     cut_off = (LABELS > 0)[5:, :, :16]
@@ -93,7 +93,7 @@ NOISE = 20.0  # spread of CT numbers
 
 
 def density(z: Any) -> Any:
-    """Of the bone at a level [g/cm3]."""
+    """Density of the bone at a level [g/cm3]."""
     return 1.0 + 0.001 * z
 
 
@@ -124,7 +124,7 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_label_surface_volumes_equal_those_of_triangles(scan: Path) -> None:
-    """To 0.3 % each; a voxel beside the bone is left out."""
+    """Volumes agree to 0.3 % each. A voxel apart from the bone is left out."""
     here, there = (as_own(scan, bone=bone, canal=canal) for bone, canal in (LABEL_IMAGES, STL))
     assert "1 voxels in 1 other pieces left out" in here.details["surface"]
     volumes, expected = (region_volumes(made(g)) for g in (here, there))
@@ -132,7 +132,7 @@ def test_label_surface_volumes_equal_those_of_triangles(scan: Path) -> None:
 
 
 def test_label_surface_from_nifti(tmp_path: Path) -> None:
-    """Numbers and axes of a file; none without axes, in metres, or cut off."""
+    """The file has numbers and axes. Files without axes, in metres, or cut off are refused."""
     values = np.random.default_rng(0).integers(-1000, 2000, (5, 6, 7)).astype(np.int16)
     affine = np.array([[0, -0.5, 0, 9], [0.4, 0, 0, 8], [0, 0, 1, 7], [0, 0, 0, 1.0]])
     path = tmp_path / "ct.nii.gz"
@@ -154,7 +154,7 @@ def test_label_surface_from_nifti(tmp_path: Path) -> None:
 
 
 def test_label_surface_from_slices_equals_nifti(tmp_path: Path) -> None:
-    """Triangles and moduli of an oblique series; what is no even series of one is refused."""
+    """Triangles and moduli of an oblique series agree. An uneven series is refused."""
     rng = np.random.default_rng(0)
     numbers = -1.0 * rng.integers(0, 100, (24, 20, 18))
     numbers[gaussian_filter(rng.normal(size=numbers.shape), 3) > 0.0] = 1200
@@ -179,7 +179,10 @@ def test_label_surface_from_slices_equals_nifti(tmp_path: Path) -> None:
 
 
 def test_label_surface_moduli_at_points_of_the_cortex(scan: Path) -> None:
-    """At 200 places up to the surface: 95 % within 3 %, as the noise is; there 10 % as it is."""
+    """At 200 places up to the surface 95 % of moduli are within 3 %, by the noise.
+
+    Values of the image alone are off by 10 % there.
+    """
     E = ImageModulus.model_validate(DENSITY, context={"folder": scan})
     geometry, rng = as_own(scan), np.random.default_rng(1)
     angle, z, part = rng.uniform([0, -190, 0], [6.28, -30, 1], size=(200, 3)).T
@@ -197,7 +200,7 @@ def test_label_surface_moduli_at_points_of_the_cortex(scan: Path) -> None:
 
 @pytest.mark.slow
 def test_label_surface_slip_equals_that_of_triangles(scan: Path) -> None:
-    """At both interfaces, with moduli from the CT."""
+    """Slip agrees at both interfaces, with moduli from the CT."""
     E = {"kind": "isotropic", "poisson_ratio": 0.3, "youngs_modulus": DENSITY}
     case: dict[str, Any] = {"base": "stance", "mesh": {"size": "8 mm"}, "output": {"error": True}}
     case |= {"regions": {"cortical_bone": E, "cancellous_bone": E}}

@@ -24,7 +24,10 @@ def angle(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def test_landmarks_of_the_parametric_femur() -> None:
-    """Head and neck are those of its keys; a bump on a flare peaks above its middle, at 0."""
+    """Head and neck are those of the keys.
+
+    A bump on a flare has its peak above its middle, at 0.
+    """
     marks = landmarks.find(parametric_femur())
     turn = np.radians(15.0)
     assert marks.head == pytest.approx([43 * np.cos(turn), 43 * np.sin(turn), 54.0], abs=0.3)
@@ -53,7 +56,7 @@ def test_landmarks_uses_given_landmarks() -> None:
 
 
 def copies(surface: BoneSurface, seed: int, number: int) -> list[tuple[Any, ...]]:
-    """Turned, mirrored and shifted, every other one open; how they were moved, and their side."""
+    """Copies, rotated, mirrored, shifted, every other one open, with their motions and sides."""
     rng, top = np.random.default_rng(seed), surface.points[:, 2].max()
     sides = ("left", "right") if surface is parametric_femur() else ("right", "left")
     made = []
@@ -66,7 +69,7 @@ def copies(surface: BoneSurface, seed: int, number: int) -> list[tuple[Any, ...]
 
 
 def check_copies(surface: BoneSurface, number: int) -> None:
-    """Repeatability: 0.1 mm, 0.5 and 0.1 deg, 1 mm, and the side always."""
+    """Repeatability is 0.1 mm, 0.5 and 0.1 deg, 1 mm; the side is always right."""
     first = landmarks.find(surface)
     for copy, turn, shift, side in copies(surface, 1, number):
         marks = landmarks.find(copy)
@@ -87,7 +90,7 @@ def test_landmarks_moves_with_the_bone() -> None:
 
 @measured
 def test_landmarks_of_a_measured_femur() -> None:
-    """Against those of its description (`data/README.md`), and of copies."""
+    """Landmarks agree with the description (`data/README.md`), and with those of copies."""
     surface = bone_surface.read(MEASURED)
     marks = landmarks.find(surface)
     assert np.linalg.norm(marks.head) < 0.6
@@ -105,7 +108,7 @@ def test_landmarks_of_twenty_copies_of_a_measured_femur() -> None:
 
 
 def bumps(surface: BoneSurface, rms: float, seed: int) -> BoneSurface:
-    """The surface moved along its normals by waves of about 9 mm."""
+    """The surface displaced along its normals by waves of about 9 mm."""
     rng = np.random.default_rng(seed)
     k = rng.normal(size=(200, 3))
     k *= 2 * np.pi / 9.0 * rng.uniform(0.7, 1.3, (200, 1)) / np.linalg.norm(k, axis=1)[:, None]
@@ -125,7 +128,7 @@ def bumps(surface: BoneSurface, rms: float, seed: int) -> BoneSurface:
 def test_landmarks_with_bumps_is_within_its_interval(
     rms: float, head: float, neck: float, version: float
 ) -> None:
-    """The deviations asked for, and a spread that covers 90 % of them."""
+    """Deviations are those of the waves, and the interval covers 90 % of them."""
     surface = bone_surface.read(MEASURED)
     first, covered = landmarks.find(surface), []
     for seed in range(20):
@@ -145,7 +148,7 @@ def test_landmarks_with_bumps_is_within_its_interval(
 
 
 def test_landmarks_refuse_the_wall_of_the_canal(tmp_path: Path) -> None:
-    """Bone and canal as one body, joined at the end of the shaft by a narrow passage."""
+    """Bone and canal are one body, joined by a narrow passage at the end of the shaft."""
     bone, canal = parametric_femur().corners, parametric_canal().corners[:, ::-1]
     lowest = [int(c.mean(axis=1)[:, 2].argmin()) for c in (bone, canal)]
     (a, b, c), (p, r, q) = bone[lowest[0]], canal[lowest[1]]
@@ -176,7 +179,10 @@ def test_landmarks_note_on_rare_size_or_shape(
 
 
 def test_landmarks_note_on_length_over_head() -> None:
-    """With condyles 15 to 25 radii of the head are usual; without them the length is any."""
+    """A femur with condyles usually has 15 to 25 radii of the head.
+
+    Without them any length is allowed.
+    """
     frame = landmarks.find(parametric_femur())
     whole = replace(frame, version=0.2, length=18 * frame.radius)
     assert whole.doubts(parametric_femur()) == []
@@ -186,7 +192,10 @@ def test_landmarks_note_on_length_over_head() -> None:
 
 
 def test_landmarks_note_where_the_image_cuts_the_bone() -> None:
-    """The lowest side of the image is the end of the scan; others lose a part of the bone."""
+    """The lowest side of the image is the end of the scan.
+
+    Other sides cut off a part of the bone.
+    """
     bone = parametric_femur()
     low, top = bone.points[:, 2].min(), bone.points[:, 2].max()
     end = bone.points[bone.points[:, 2] < low + 1.0]

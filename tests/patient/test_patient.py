@@ -1,4 +1,4 @@
-"""A patient's femur: the parametric one as triangles, and the measured one, with a stem."""
+"""A patient's femur: the parametric one as triangles, and a measured one, with a stem."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_patient_bone_of_the_parametric_femur_equals_it(folder: Path) -> None:
-    """Volumes to 1 % beside the polygons, which are within the bone. The stem is the same.
+    """Volumes agree to 1 %, because the polygons are within the bone. The stem is the same.
 
     A canal by ratios leaves 2 mm of cortex in the metaphysis.
     """
@@ -79,7 +79,10 @@ def test_patient_bone_of_the_parametric_femur_equals_it(folder: Path) -> None:
 
 
 def test_patient_note_on_the_canal_has_the_level_of_its_file(folder: Path) -> None:
-    """The level at which the surface ends, and that of the last whole section of the mesh."""
+    """The note has the level at which the surface ends.
+
+    It also has that of the last whole section of the mesh.
+    """
     geometry = patient(folder, canal={"surface": "canal.stl", "ream": "broach"})
     bone = LayeredSurfaces(geometry, options()).bone
     assert isinstance(bone, MeasuredLayers) and geometry.femur.canal
@@ -116,7 +119,10 @@ IN = {"canal": {"ream": "broach"}, "insertion": PUT}
 
 
 def test_patient_stem_from_a_file_equals_the_parametric_stem(folder: Path) -> None:
-    """Circles of 6 mm agree to 0.008 mm, its axis to 0.005 mm; its end is flat."""
+    """Circles of 6 mm agree to 0.008 mm, the axis to 0.005 mm.
+
+    The end of the file's stem is flat.
+    """
     file = {"step": cad_stems.write("parametric", folder, neck=NECK)}
     given, here = patient(folder, **IN), patient(folder, stem=file, **IN)
     (there, expected), (data, volumes) = ((d, region_volumes(d)) for d in map(made, (given, here)))
@@ -134,7 +140,7 @@ def test_patient_stem_from_a_file_equals_the_parametric_stem(folder: Path) -> No
 
 
 def test_patient_right_femur_is_mirrored_with_its_stem(folder: Path) -> None:
-    """A stem that is not symmetric: its medial direction is that to a head beside its plane."""
+    """The stem is not symmetric. Its medial direction is that to a head outside its plane."""
     file, mirror = cad_stems.write("parametric", folder, neck=NECK), np.diag([-1.0, 1.0, 1.0])
     write(folder / "right.stl", moved(parametric_femur(), mirror, np.zeros(3)))
     shapes = []
@@ -162,7 +168,7 @@ def test_patient_muscles_are_on_the_bone_below_the_cut(folder: Path) -> None:
 
 
 def test_patient_stem_has_the_given_position(folder: Path) -> None:
-    """Version and offsets by the patient's neck."""
+    """Version and offsets are relative to the patient's neck."""
     at = patient(folder).placement
     aside = {"medial_offset": "2 mm", "anterior_offset": "1 mm"}
     put = patient(folder, insertion=aside | {"version": {"angle": "10 deg"}}).placement
@@ -187,7 +193,7 @@ def test_patient_stem_has_the_given_position(folder: Path) -> None:
 def test_patient_stem_without_room_is_refused_in_any_bone(
     stem: dict[str, str], words: str, folder: Path
 ) -> None:
-    """At its shoulder the parametric stem is 18.16 mm wide; half depths fall by 5.9 in 133 mm."""
+    """At its shoulder the parametric stem is 18.16 mm wide. Half depths fall by 5.9 in 133 mm."""
     with pytest.raises(ValidationError, match=words):
         patient(folder, stem=stem)
     with pytest.raises(ValidationError, match=words):
@@ -197,9 +203,9 @@ def test_patient_stem_without_room_is_refused_in_any_bone(
 def random_patient(
     folder: Path, seed: int, bone: BoneSurface, canal: BoneSurface, deepest: float = 2.0
 ) -> Patient:
-    """A bone stretched and sheared, left or right; stem, mantle, cut, position, canal at random.
+    """A bone stretched and sheared, left or right, with random stem, mantle, cut, position, canal.
 
-    Every fifth has a stem from CAD.
+    Every fifth stem is from CAD.
     """
     rng = np.random.default_rng(seed)
     shear = np.triu(math.tan(math.radians(3)) * rng.uniform(-1, 1, (3, 3)), 1)
@@ -228,7 +234,7 @@ def random_patient(
 
 
 def _own(geometry: Patient) -> Floats:
-    """Points of the parametric stem, in its axes (n, 3) [mm]."""
+    """Points of the parametric stem in axes of the stem (n, 3) [mm]."""
     placement, implant = geometry.placement, geometry.implant
     z, phi = np.meshgrid(np.arange(-geometry.stem.length, 20.0), np.arange(48) / 48)
     slope, lean = placement.slopes
@@ -246,7 +252,8 @@ def _own(geometry: Patient) -> Floats:
 def distance(geometry: Patient) -> float:
     """Least distance of the stem below the cut from the bone's triangles, up to 10 mm [mm].
 
-    Points of both: no sections, no rays. It is near 0 where a stem leaves the bone.
+    Points of both are compared, without sections or rays. The distance is near 0 where a stem
+    leaves the bone.
     """
     placement, corners = geometry.placement, geometry.femur.surface.corners
     if isinstance(geometry.stem, StemFile):
@@ -263,7 +270,10 @@ def distance(geometry: Patient) -> float:
 
 
 def check(geometry: Patient, seed: int) -> bool:
-    """Meshed at the first attempt, or rightly refused with the place; whether it was meshed."""
+    """Return whether the mesh was made at the first attempt.
+
+    Otherwise the refusal must name the right place.
+    """
     mesh = options(size=f"{6 + seed % 3} mm", order=1 + seed % 2, around=None)
     try:
         data = _make(geometry, mesh)
@@ -286,7 +296,10 @@ def test_patient_random_cases_mesh_or_are_refused(tmp_path: Path, seed: int) -> 
 @measured
 @pytest.mark.slow
 def test_patient_hundred_copies_have_room_in_four_fifths(tmp_path: Path) -> None:
-    """On the measured femur, larger by a fifth; at least four fifths have room for the stem."""
+    """Copies of the measured femur are larger by a fifth.
+
+    At least four fifths have room for the stem.
+    """
     surfaces = [
         moved(bone_surface.read(path, "mm"), 1.2 * np.eye(3), np.zeros(3))
         for path in (MEASURED, MEASURED_CANAL)
@@ -297,7 +310,10 @@ def test_patient_hundred_copies_have_room_in_four_fifths(tmp_path: Path) -> None
 
 @measured
 def test_patient_cells_at_calcar_and_plug_are_sound(tmp_path: Path) -> None:
-    """One of the worst of a hundred: layers are oblique at the neck, sections long in the shaft."""
+    """This is one of the worst of a hundred patients.
+
+    Layers are oblique at the neck, and sections long in the shaft.
+    """
     surfaces = [
         moved(bone_surface.read(path, "mm"), 1.2 * np.eye(3), np.zeros(3))
         for path in (MEASURED, MEASURED_CANAL)
@@ -310,7 +326,7 @@ def test_patient_cells_at_calcar_and_plug_are_sound(tmp_path: Path) -> None:
 
 
 def measured_hip(folder: Path, cement: float, mirrored: bool = False) -> Patient:
-    """The measured femur with a stem from a file, placed as in docs/howto/your_hip.md."""
+    """The measured femur with a stem from a file, placed by docs/howto/your_hip.md."""
     change = np.diag([-1.0 if mirrored else 1.0, 1.0, 1.0])
     for name, path in (("bone", MEASURED), ("canal", MEASURED_CANAL)):
         write(folder / f"{name}.stl", moved(bone_surface.read(path, "mm"), change, np.zeros(3)))
@@ -326,7 +342,7 @@ def measured_hip(folder: Path, cement: float, mirrored: bool = False) -> Patient
 @measured
 @pytest.mark.parametrize("size", [3.1, 3.0, 2.7, 2.2])
 def test_patient_measured_femur_meshes_at_any_size(tmp_path: Path, size: float) -> None:
-    """A station can cut off the corner of the shoulder next to the neck: a horn of the section."""
+    """A section can cut off the corner of the shoulder next to the neck, which leaves a horn."""
     data = _make(measured_hip(tmp_path, 3.0), options(size=f"{size} mm", around=None))
     assert quality.quality_without_length(data.points, data.cells).min() > 0.035
 
@@ -336,7 +352,7 @@ def test_patient_measured_femur_meshes_at_any_size(tmp_path: Path, size: float) 
 @pytest.mark.parametrize("cement", [2.0, 3.0, 5.0])
 @pytest.mark.parametrize("kind", ["parametric", "measured", "mirrored"])
 def test_patient_meshes_at_all_sizes(tmp_path: Path, kind: str, cement: float) -> None:
-    """From 8 to 2 mm by 0.1, curved: none is refused; no cell, if shorter, is below 0.03."""
+    """Curved meshes of 8 to 2 mm by 0.1 are accepted. No cell, if shorter, is below 0.03."""
     if kind == "parametric":
         geometry: Any = Femur.model_validate({"cement_thickness": f"{cement} mm"})
     else:
@@ -349,7 +365,7 @@ def test_patient_meshes_at_all_sizes(tmp_path: Path, kind: str, cement: float) -
 
 @measured
 def test_patient_stem_too_deep_is_refused_with_remedy(tmp_path: Path) -> None:
-    """A thin calcar next to a shoulder 11 mm below the cut: layers fold, at all sizes near."""
+    """A thin calcar is next to a shoulder 11 mm below the cut. Layers fold at all similar sizes."""
     surfaces = [
         moved(bone_surface.read(path, "mm"), 1.2 * np.eye(3), np.zeros(3))
         for path in (MEASURED, MEASURED_CANAL)
@@ -365,7 +381,10 @@ def test_patient_stem_too_deep_is_refused_with_remedy(tmp_path: Path) -> None:
 
 
 def test_patient_places_in_an_image_are_inside_the_bone(folder: Path) -> None:
-    """Of a bone turned, shifted and mirrored: at least 1.5 mm deep, and no deeper than they are."""
+    """The bone is rotated, shifted and mirrored.
+
+    Places are at least 1.5 mm deep, and at their true depth.
+    """
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     shift = np.array([50.0, -20.0, 900.0])
     here, there = (patient(folder, bone={"surface": f"bone{k}.stl"}) for k in ("", "_moved"))
@@ -383,7 +402,7 @@ def test_patient_places_in_an_image_are_inside_the_bone(folder: Path) -> None:
 
 @pytest.mark.parametrize(("height", "noted"), [("25 mm", False), ("30 mm", True)])
 def test_patient_leg_length_is_noted(folder: Path, height: str, noted: bool) -> None:
-    """The head of the stem against that of the bone, along the shaft."""
+    """The head of the stem is compared with that of the bone, along the shaft."""
     geometry = patient(folder, stem={"head_height": height}, canal={"ream": "broach"})
     case = support.case("base: stance").model_copy(update={"geometry": geometry})
     longer = lengthening(geometry)
@@ -393,7 +412,7 @@ def test_patient_leg_length_is_noted(folder: Path, height: str, noted: bool) -> 
 
 
 def odd(corners: Any, seed: int) -> Any:
-    """Triangles of a bone with some missing, stretched, doubled beside it, cut or in waves."""
+    """Triangles of a bone. Some are missing, stretched, doubled, cut or wavy."""
     rng = np.random.default_rng(seed)
     match seed % 5:
         case 0:
@@ -410,7 +429,7 @@ def odd(corners: Any, seed: int) -> Any:
 
 @pytest.mark.slow
 def test_patient_placement_of_damaged_bones_or_refusal(tmp_path: Path) -> None:
-    """Bytes of files, or shapes, are damaged; no warning of numpy either."""
+    """Bytes of files, or shapes, are damaged. Numpy prints no warnings."""
     surface = parametric_femur()
     whole = {
         "bone.stl": write(tmp_path / "bone.stl", surface).read_bytes(),

@@ -1,4 +1,4 @@
-"""Surface files as programs write them: read to the same triangles, or refused by the reason."""
+"""Surface files of many programs: equal triangles, or a refusal with its reason."""
 
 from __future__ import annotations
 
@@ -255,7 +255,10 @@ def test_surface_files_are_refused_with_the_reason(name: str, tmp_path: Path) ->
 
 
 def test_surface_files_damaged_are_read_or_refused(tmp_path: Path) -> None:
-    """No other error and no warning, of 240 files; landmarks are sought on what is read."""
+    """There is no other error and no warning in 240 files.
+
+    Landmarks are sought on readable ones.
+    """
     surface = opened(parametric_femur(), -150.0)
     whole = {
         "bone.stl": write(tmp_path / "a.stl", surface).read_bytes(),

@@ -14,7 +14,7 @@ from tests.patient.surface_text import judged, obj_faces, obj_vertices, put, qua
 
 
 def test_welding_concave_polygons_are_divided_inside() -> None:
-    """A comb of five teeth in any plane: triangles keep their sides, the comb its area."""
+    """Triangles of a comb of five teeth in any plane keep its sides and its area."""
     comb = [(0.0, 0.0), (9.0, 0.0)]
     for tooth in range(4, -1, -1):
         comb += [(2 * tooth + 1.0, 3.0), (2 * tooth + 0.0, 0.5)][: 2 if tooth else 1]
@@ -38,7 +38,10 @@ FAR = np.array([600.0, -800.0, 2100.0])
 
 
 def test_welding_quads_next_to_a_divided_edge_close_the_surface(tmp_path: Path) -> None:
-    """Above two levels, one of them far from both ends; edges of the rim are divided by a side."""
+    """Quads are above two levels, one far from both ends.
+
+    Edges of the rim are divided on one side.
+    """
     for level in (60.0, -50.0):
         points, faces = quads(parametric_femur(), level)
         path = put(tmp_path, "bone.obj", obj_vertices(points) + obj_faces(faces))
@@ -53,7 +56,7 @@ def test_welding_quads_next_to_a_divided_edge_close_the_surface(tmp_path: Path) 
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("doubled", [slice(None), slice(200, 900)])
 def test_welding_keeps_repeated_facets_once(doubled: slice, turned: bool, tmp_path: Path) -> None:
-    """Of all facets and of some, the copies turned over or not."""
+    """All or some facets have copies, with equal or opposite orientation."""
     corners = parametric_femur().corners
     copies = corners[doubled, :: -1 if turned else 1]
     surface = bone_surface.read(stl(tmp_path, np.concatenate([corners, copies])))
@@ -70,7 +73,7 @@ def test_welding_keeps_repeated_facets_of_an_open_bone_once(tmp_path: Path) -> N
 
 
 def test_welding_removes_a_fold_without_thickness(tmp_path: Path) -> None:
-    """A fin of two sheets, joined to the bone by an edge."""
+    """A fin of two sheets is joined to the bone by an edge."""
     corners = parametric_femur().corners
     a, b = corners[500, 0], corners[500, 1]
     tip = (a + b) / 2 + 3.0 * np.array([0.3, 0.5, 0.1])
@@ -91,7 +94,7 @@ def test_welding_merges_corners_that_differ_in_last_digits(noise: float, tmp_pat
 
 
 def test_welding_joins_a_bone_far_from_the_origin(tmp_path: Path) -> None:
-    """At two metres numbers of four bytes have steps of 0.0001 mm."""
+    """Numbers of four bytes have steps of 0.0001 mm at two metres."""
     surface = bone_surface.read(stl(tmp_path, parametric_femur().corners + FAR))
     assert len(surface.triangles) == len(parametric_femur().triangles) and not len(surface.rim)
 

@@ -1,4 +1,4 @@
-"""The layers of the program, read from its source: packages, directions, names, who may do what."""
+"""The layers of the program by its source: packages, directions of imports, names, duties."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ STACK = {"dolfinx", "petsc4py", "ufl", "mpi4py", "basix", "ffcx", "gmsh", "h5py"
 
 
 def package_of(name: str) -> str:
-    """The package of a module; empty for what is beside them."""
+    """The package of a module; empty for modules outside of packages."""
     parts = name.split(".")
     known = {package for row in ROWS for package in row}
     inner = parts[1] if parts[0] == "app" and len(parts) > 1 else parts[0]
@@ -192,7 +192,10 @@ def test_layering_meshes_import_only_foundation_and_mesh_files(path: Path) -> No
 
 @all_of("app")
 def test_layering_no_branches_by_kind_of_law(path: Path) -> None:
-    """No file matches classes of laws. The solver does not import the case."""
+    """No file matches classes of laws. Laws import UFL inside methods.
+
+    The solver does not import the case.
+    """
     laws = {
         alias.asname or alias.name
         for node in ast.walk(tree(path))
@@ -244,7 +247,7 @@ def test_layering_one_module_imports_yaml(path: Path) -> None:
 
 @all_of("app", "forms")
 def test_layering_comm_world_only_at_the_top(path: Path) -> None:
-    """Everything below takes the communicator it is given."""
+    """All other modules use the communicator that they get."""
     world = [
         node.lineno
         for node in ast.walk(tree(path))
@@ -275,7 +278,7 @@ def names_in(node: ast.AST) -> set[str]:
 
 
 def classes_asked_for(path: Path) -> set[str]:
-    """Classes of laws by which a file branches: in `isinstance`, `type(x) in` and `case`."""
+    """Classes of laws by which a file branches: `isinstance`, `type(x) in` and `case`."""
     asked: set[str] = set()
     for node in ast.walk(tree(path)):
         if isinstance(node, ast.Call) and names_in(node.func) & {"isinstance", "issubclass"}:

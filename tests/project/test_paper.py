@@ -1,4 +1,4 @@
-"""``docs/paper``: made-up sweeps whose numbers the paper would have, or not."""
+"""``docs/paper`` on made-up sweeps with the numbers of the paper, or with others."""
 
 from __future__ import annotations
 
@@ -36,7 +36,10 @@ def test_paper_statement_is_undecided_within_errors() -> None:
 
 
 def test_paper_cases_are_those_of_named_parts(maker: Maker) -> None:
-    """By stem, thickness and friction; of two that are alike the finer, then the first."""
+    """A case is found by stem, thickness and friction.
+
+    Of two similar cases the finer one counts, then the first.
+    """
     for t in (3.0, 4.0):
         maker.stance("titanium", t, 1.0, {})
     maker.add("finer", femur(), {}, unknowns=10)
@@ -50,7 +53,7 @@ def test_paper_cases_are_those_of_named_parts(maker: Maker) -> None:
 
 
 def test_paper_parts_are_shipped() -> None:
-    """Every label is a part of the shipped sweep, and the override tells the two readings apart."""
+    """Every label is a part of the shipped sweep. The override distinguishes the two readings."""
     data = yaml_file.read(CONFIGS / "sweeps" / "paper.yaml").data["parts"]
     assert {*paper.MODELS, *paper.CAUSES} <= set(data)
     for part in ("hot", "slice"):
@@ -62,7 +65,7 @@ def test_paper_parts_are_shipped() -> None:
 
 @pytest.mark.parametrize(("error", "verdict"), [(1e-3, AGREES), (0.8, UNDECIDED)])
 def test_paper_trends_hold_for_its_numbers(maker: Maker, error: float, verdict: str) -> None:
-    """Undecided where errors are as large; of heat there are no numbers."""
+    """Trends are undecided if errors are as large. There are no numbers of heat."""
     judged = verdicts(sweep(maker, as_the_paper_says, error))
     mechanical = dict.fromkeys(["T-a", "T-b", "T-c", "T-d", "T-e", "T-f"], verdict)
     assert judged == mechanical | dict.fromkeys(["T-g", "T-h"], UNDECIDED)
@@ -85,7 +88,7 @@ def test_paper_trend_fails_for_other_numbers(maker: Maker, trend: str, factor: L
 
 
 def test_paper_trend_is_judged_again_with_causes(maker: Maker) -> None:
-    """Room in the canal makes thin mantles slip as the paper says; a smoother stem does not."""
+    """Room in the canal makes thin mantles slip like the paper's; a smoother stem does not."""
 
     def shipped(stem: str, t: float, mu: float, name: str) -> float:
         return as_the_paper_says(stem, t, mu, name) * (0.3 if t < 2.5 and "slip" in name else 1.0)
@@ -167,7 +170,7 @@ def test_paper_ratios_are_to_its_numbers(maker: Maker) -> None:
 
 
 def test_paper_maxima_are_of_the_whole_interface(maker: Maker) -> None:
-    """As the paper's are; where they are stands beside the places that it names."""
+    """Peaks are compared over the whole interface. The page gives their Gruen zone."""
     numbers = contact(as_the_paper_says, "titanium", 4.0, 1.0, 0.05)
     numbers["cement_bone"]["rim"] = {"gap_max": 0.3}
     gruen = zones(0.003, ("cement_bone",))

@@ -54,7 +54,7 @@ def test_gruen_mantles_are_listed_by_thickness(maker: Maker) -> None:
 
 
 def test_gruen_mantles_are_compared_by_achieved_thickness(maker: Maker) -> None:
-    """Whatever keys of the geometry make them: here canals and stems."""
+    """The keys of the geometry do not matter: here canals and stems."""
     for part, key, means in (
         ("clipped", "taper", (2.0, 2.6)),
         ("cavity", "stem_width", (2.1, 4.0)),

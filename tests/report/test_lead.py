@@ -32,7 +32,10 @@ def test_lead_has_slip_and_opening(
 
 
 def test_lead_takes_a_number_of_each_group() -> None:
-    """Of contact, stem and heat the first, in this order; a second one only if there is room."""
+    """The first number of contact, stem and heat is taken, in this order.
+
+    A second one is added if there is room.
+    """
     slip = {"slip_p99": 0.01}
     numbers: dict[str, Any] = {
         "interfaces": {"stem_cement": slip, "cement_bone": slip},

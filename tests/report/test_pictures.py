@@ -1,4 +1,4 @@
-"""Pictures of interfaces in the plane; places and sizes known."""
+"""Pictures of interfaces in the plane, with known places and sizes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LENGTH = 30.0  # mm
 
 
 def cylinder(turn: float) -> tuple[Any, Any]:
-    """Nodes of a cylinder with a cap at z = 0, and its triangles; turned by an angle [degrees]."""
+    """Nodes of a cylinder with a cap at z = 0, and its triangles, turned by an angle [degrees]."""
     angle = np.radians(turn + 360.0 / N * np.arange(N))
     z = np.linspace(0.0, LENGTH, LAYERS + 1)
     ring = np.stack([RADIUS * np.cos(angle), RADIUS * np.sin(angle)], axis=1)
@@ -36,7 +36,7 @@ def cylinder(turn: float) -> tuple[Any, Any]:
 
 @pytest.mark.parametrize("turn", [0.0, 7.0, 15.0, -100.0])
 def test_pictures_cylinder_is_unrolled_exactly(turn: float) -> None:
-    """Without holes or smears at the seam: each place in the window is in one triangle."""
+    """There are no holes or smears at the seam: each place in the window is in one triangle."""
     points, triangles = cylinder(turn)
     corners, nodes = pictures.unroll(points, triangles)
     x = points[nodes]
@@ -99,7 +99,7 @@ def test_pictures_flat_interface_is_drawn_in_its_plane() -> None:
 def test_pictures_rows_and_titles_do_not_overlap(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And titles that cover neither each other nor what is beside them."""
+    """Titles cover neither each other nor neighbouring rows."""
     drawn: list[Any] = []
     new = figures.new
     monkeypatch.setattr(figures, "new", lambda *size: drawn.append(new(*size)) or drawn[-1])
@@ -128,7 +128,10 @@ def test_pictures_rows_and_titles_do_not_overlap(
 
 
 def test_pictures_points_and_bars_stay_inside_the_frame() -> None:
-    """Of numbers far from zero and alike, whose axis begins at zero; inside a page as well."""
+    """The numbers are far from zero and similar, and their axis begins at zero.
+
+    Pages behave the same.
+    """
     line = curves.Line("a", 0, [0.2, 0.8], [98.8, 91.0], [2.0, 2.0])
     panel = curves.Panel("slip", "µm", [line], "friction")
     axes = figures.new(4.0, 3.0).subplots()
@@ -143,7 +146,7 @@ def test_pictures_points_and_bars_stay_inside_the_frame() -> None:
 
 @pytest.mark.parametrize("way", [1, -1])
 def test_pictures_linear_field_is_shaded_without_streaks(way: int) -> None:
-    """On thin triangles whose diagonals all go one way, and not beside them."""
+    """Thin triangles have parallel diagonals. Nothing is drawn outside of them."""
     u, v = (g.ravel() for g in np.meshgrid(np.arange(9.0) * 40.0, np.arange(61.0)))
     a = np.arange(len(u)).reshape(61, 9)
     low, high = (a[:-1, :-1].ravel(), a[:-1, 1:].ravel()), (a[1:, :-1].ravel(), a[1:, 1:].ravel())

@@ -1,4 +1,4 @@
-"""``mantle report`` on made-up sweeps: what it recognises, compares and judges, and its page."""
+"""``mantle report`` on made-up sweeps: pages of samples and texts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from app.report.page import bullets, page
 
 
 def test_report_of_samples_has_no_curves_and_sorted_levels(tmp_path: Path) -> None:
-    """Samples vary in all inputs; a curve over one of them would join two unrelated runs."""
+    """Samples vary in all inputs, so a curve over one of them would join two unrelated runs."""
     levels = np.random.default_rng(4).permutation(np.arange(1, 41) / 8)
     samples = [
         rs.SweptCase(f"s{k}", tmp_path / f"s{k}", "converged", "samples", {"mesh.size": f"{x} mm"})

@@ -1,4 +1,4 @@
-"""``report.html`` of a run: its sentence, its numbers, and that it needs nothing else."""
+"""``report.html`` of a run: its first sentence, its numbers, no external files."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ COARSE = {"mesh.size": "4 mm", "mesh.far_size": "6 mm", "mesh.order": 1}
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of cylinders, with a title that is no text for a page."""
+    """A run of cylinders whose title contains HTML."""
     out = tmp_path_factory.mktemp("run") / "out"
     title = "<script>alert(1)</script> & stem"
     mantle.run(mantle.load(CONFIGS / "cylinders.yaml", **COARSE, title=title), out)
@@ -94,7 +94,7 @@ def test_run_report_numbers_equal_the_summary(done: Path) -> None:
 def test_run_report_command_draws_maps_and_files(
     done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """On a copy: nothing but the folder is needed."""
+    """A copy of the folder suffices for the report."""
     copy = tmp_path / "elsewhere"
     shutil.copytree(done, copy)
     (copy / "report.html").unlink()
@@ -107,7 +107,7 @@ def test_run_report_command_draws_maps_and_files(
 
 
 def test_run_report_can_be_switched_off(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """And one that fails is a warning."""
+    """A report that fails is a warning."""
     case = mantle.load(CONFIGS / "blocks.yaml", **{**COARSE, "output.report": False})
     mantle.run(case, tmp_path / "out")
     assert not (tmp_path / "out" / "report.html").exists()
@@ -118,7 +118,7 @@ def test_run_report_can_be_switched_off(tmp_path: Path, caplog: pytest.LogCaptur
 def test_run_report_without_3d_view_gives_the_reason(
     done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And its units are printed as people write them."""
+    """Units have their usual spelling."""
 
     def broken(folders: dict[str, Path]) -> str:
         raise IndexError("no <such> cell")
@@ -167,7 +167,7 @@ FRICTION = "interfaces.stem_cement.friction_coefficient"
 
 
 def samples(run: Path, folder: Path, number: int = 20, thickness: str = "4.0 mm") -> Path:
-    """A sweep: slip is 2, 4, ... um with the modulus of bone, the gap falls with friction."""
+    """A sweep: slip is 2, 4, ... um with the modulus of bone, and the gap falls with friction."""
     rows: list[dict[str, Any]] = []
     for k, other in ((k, 7 * k % 20) for k in range(number)):  # orders without relation
         case, numbers, sample = (
@@ -222,7 +222,10 @@ def test_run_report_draws_all_cycles_after_cooling() -> None:
 
 
 def test_run_report_necrosis_has_a_spread(tmp_path: Path) -> None:
-    """Of 0, 2 .. 18 mm3 5 and 95 % are 0.9 and 17.1; ranks leave 9 of 82.5 within the kinetics."""
+    """Of 0, 2 .. 18 mm3 the 5 and 95 % are 0.9 and 17.1.
+
+    Groups by kinetics leave 9 of 82.5 of the variance of ranks.
+    """
     key, of = "necrosis_47C_1min_volume", {"regions.cement.kinetics": [*"aaabbbcccc"]}
     numbers = [{f"bone.{key}": 2.0 * k} for k in range(10)]
     samples = [SweptCase("", tmp_path, CONVERGED, numbers=of_sample) for of_sample in numbers]
@@ -369,7 +372,7 @@ def test_run_report_ticks_are_round(ends: tuple[float, float], ticks: list[float
 
 
 def test_run_report_has_landmarks_if_the_files_of_the_case_are_there(tmp_path: Path) -> None:
-    """The picture of the case needs its files once, to be drawn."""
+    """The picture of the case needs the files of the case."""
     (tmp_path / "case.yaml").write_text("base: stance")
     (landmarks,) = run_report._landmarks(tmp_path)
     assert isinstance(landmarks, Bullets)

@@ -114,7 +114,7 @@ def test_sweep_report_curves_over_varying_keys(maker: Maker) -> None:
 def test_sweep_report_levels_have_one_unit(
     key: str, written: list[Any], words: str, numbers: list[float | None]
 ) -> None:
-    """The unit is that of the schema where the sweep has several."""
+    """If the sweep has several units, the levels have the unit of the schema."""
     key = key.replace(".T", ".temperature")
     cases = [rs.SweptCase(str(x), Path(), "converged", "", {key: x}) for x in written]
     assert sweep_figures.axes_in_words(cases) == [f"{words}."]
@@ -122,7 +122,7 @@ def test_sweep_report_levels_have_one_unit(
 
 
 def test_sweep_report_rank_correlations(maker: Maker) -> None:
-    """Slip that grows with the taper alone: +1 with it in any unit, nothing with the length."""
+    """Slip grows with the taper alone: +1 with the taper in any unit, nothing with the length."""
     data = femur()
     for taper, written in ((1.0, "1 deg"), (2.0, "2 deg"), (3.0, "0.05236 rad")):
         for length in (20.0, 30.0):

@@ -1,4 +1,4 @@
-"""Balances: of forces, what they refuse and what not; of heat, what was integrated or not."""
+"""Balances: of forces, with refused results, and of heat, with its integrals."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ORDERS = pytest.mark.parametrize("order", [1, pytest.param(2, marks=pytest.mark.
 
 
 def refused(*sums: float) -> list[str]:
-    """Sums of force, moment and energy that are not closed."""
+    """Sums of force, moment and energy that do not close."""
     return unbalanced({"balance": dict(zip(("force", "moment", "energy"), sums, strict=True))})
 
 
@@ -87,7 +87,7 @@ BARS = [(), (APART,), (TOUCHED,), (APART, TOUCHED), swollen("[50, 1e-12]"), (*sw
 
 
 def heated(changes: tuple[str, ...], *rises: float) -> Heated:
-    """A bar free to grow, before its last step."""
+    """A bar that may grow freely, before its last step."""
     model = Heated.make(BAR, expanding(one=8e-5, two=8e-5), TWICE, *changes)
     for k, rise in enumerate(rises, 1):
         model.problem.set_time(float(k))
@@ -216,7 +216,7 @@ def cool(theta: float, steps: int, leak: float = 0.0) -> HeatBalance:
 
 
 def test_balance_of_heat_by_the_integrator_is_exact() -> None:
-    """The other sum is that of the trapezoidal rule; a leak shows."""
+    """The other sum is that of the trapezoidal rule. A leak of heat is visible."""
     balance = cool(1.0, 12)
     assert balance.heat < 1e-14
     # Backward Euler's flow is not the trapezoidal one: off by half a step's decay.
@@ -256,7 +256,7 @@ def test_balance_of_heat_in_steady_states() -> None:
 
 
 def test_balance_of_heat_ignores_rounding() -> None:
-    """A model that waits for its first heat; once that is there all of it counts."""
+    """A model waits for its first heat. After that all of the heat counts."""
     balance = HeatBalance(0.0, {})
     balance.update(1.0, {"friction": 2e-22}, {"friction": 0.0}, 1e-16, 2e-16, 1e-12)
     assert balance.heat == 0
@@ -268,7 +268,7 @@ def test_balance_of_heat_ignores_rounding() -> None:
 def test_balance_of_heat_flows_through_a_wall(
     moduli: tuple[int, int] | None, tmp_path: Path
 ) -> None:
-    """60 K over L1/k1 + 1/h + L2/k2 + 1/a, on 16 mm2, whichever side is the stiffer."""
+    """The heat is 60 K / (L1/k1 + 1/h + L2/k2 + 1/a) on 16 mm2, with either side stiffer."""
     changes = ["supports={base: {kind: fixed, boundary: bottom}}"] if moduli else []
     for region, E in zip(("hot", "cold"), moduli or (), strict=False):
         solid = f"youngs_modulus: {E} GPa, poisson_ratio: 0.3"

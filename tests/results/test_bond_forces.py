@@ -28,7 +28,10 @@ CONTACT = f"interfaces.one_two={{kind: contact, friction_coefficient: 5, {STRENG
 def test_bond_forces_of_a_pulled_and_sheared_interface(
     tmp_path: Path, order: int, pull: float, shear: float
 ) -> None:
-    """Uniform tractions: strains by modulus, the displacement given on the surface all around."""
+    """Tractions are uniform.
+
+    Strains follow from the moduli; the surface has given displacements.
+    """
     below, above = f"min(z, 4) * {1 / 2e3}", f"max(z - 4, 0) * {1 / 20e3}"
     along = f"({below} + {above})"
     given = f"x: '{2 * shear} * {along}', y: 0 mm, z: '{pull} * {along}'"
@@ -45,7 +48,7 @@ def test_bond_forces_of_a_pulled_and_sheared_interface(
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_bond_forces_equal_those_of_sticking_contact(tmp_path: Path, order: int) -> None:
-    """Edges, unlike sides, rollers on the rim, a region in two bodies: by the multiplier."""
+    """Multipliers agree at edges, unlike sides, rollers on the rim, and a region in two bodies."""
     supports = (
         "{base: {kind: fixed, boundary: bottom}, cut: {kind: roller, boundary: y_min, axis: y}}"
     )
@@ -70,7 +73,7 @@ def test_bond_forces_equal_those_of_sticking_contact(tmp_path: Path, order: int)
 
 
 def test_bond_forces_load_factor_at_one_percent_failure(tmp_path: Path) -> None:
-    """A bond under a moment: loaded by its factor, a hundredth of it is beyond its strength."""
+    """A bond under a moment times its load factor fails on a hundredth of its area."""
     supports = "supports={base: {kind: fixed, boundary: bottom}}"
     bent = "loads.bent={{kind: force, boundary: top, force: '[1, 0, 4] N', history: [{}]}}"
     first = support.run(BARS, tmp_path / "one", supports, bent.format(1.0))

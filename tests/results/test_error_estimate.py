@@ -1,4 +1,4 @@
-"""The estimate of a run's error: exact where the model of the error is, and what it costs."""
+"""The estimate of a run's error: exact values by models, and costs."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def compared(run: dict[str, Any], this: Case, *others: dict[str, Any]) -> dict[s
 
 
 def modelled(run: dict[str, Any], this: Case, model: Any) -> dict[str, Any]:
-    """The same where a model gives the numbers of mesh size and increments."""
+    """The estimate of a run whose numbers follow a model in mesh size and increments."""
     companions = error_estimate.companions(this)
     return compared(
         run, this, *(model(c.case.mesh.size, c.case.stages[0].increments) for c in companions)
@@ -48,7 +48,7 @@ def modelled(run: dict[str, Any], this: Case, model: Any) -> dict[str, Any]:
 
 
 def numbers(size: float, increments: float, order: float) -> dict[str, Any]:
-    """Numbers with an error of C h^p + C' / n, p as the estimate takes it."""
+    """Numbers with an error of C h^p + C' / n. The p is that of the estimate."""
 
     def wrong(by: float, p: float = order) -> float:
         return by * (0.01 * size**p + 0.02 / increments)
@@ -83,7 +83,7 @@ def numbers(size: float, increments: float, order: float) -> dict[str, Any]:
 def test_error_estimate_companions_are_coarser(
     text: str, changes: tuple[str, ...], expected: list[tuple[float, ...]]
 ) -> None:
-    """Mesh sizes, increments, and steps over those of the run."""
+    """Companions have mesh sizes, increments, and steps relative to the run."""
     companions = error_estimate.companions(support.case(text, *changes))
     assert [
         (c.case.mesh.size, c.case.stages[0].increments, c.steps) for c in companions
@@ -110,7 +110,7 @@ def test_error_estimate_names_its_sources() -> None:
 
 @pytest.mark.parametrize(("method", "power"), [("sdirk4", 1), ("backward_euler", 2)])
 def test_error_estimate_companions_in_time(method: str, power: int) -> None:
-    """Of order p with an estimate of order q, error goes with tolerance^(p / q): 4/4 and 1/2."""
+    """Errors of order p with an estimate of order q grow as tolerance^(p / q): 4/4 and 1/2."""
     companions = error_estimate.companions(
         support.case(HEAT, f"time.method={method}", "time.tolerance=3e-4 K")
     )
@@ -138,7 +138,10 @@ def test_error_estimate_is_exact_for_its_model(increments: int) -> None:
 
 
 def test_error_estimate_lists_maxima_that_do_not_converge() -> None:
-    """Finest mesh first, worst peak first; of two runs on a mesh the one with the run's steps."""
+    """The finest mesh comes first, then the worst peak.
+
+    Of two runs on a mesh the one with the run's steps counts.
+    """
     this = case("stages.0.increments=8")
 
     def peaks(pressure: float, slip: float, stress: float, shear: float) -> dict[str, Any]:
@@ -170,7 +173,7 @@ def test_error_estimate_lists_maxima_that_do_not_converge() -> None:
 
 
 def test_error_estimate_compares_maxima_on_solved_meshes() -> None:
-    """A companion has failed, another has no such number, and steps alone say nothing."""
+    """A companion has failed, another has no such number. Steps alone do not suffice."""
     this = case("stages.0.increments=8")
     finer, coarser, _ = error_estimate.companions(this)
     run = {"interfaces": {"lower_upper": {"pressure_max": 9.0}}}
@@ -188,7 +191,10 @@ def test_error_estimate_compares_maxima_on_solved_meshes() -> None:
 
 
 def test_error_estimate_raises_accidentally_small_errors() -> None:
-    """To b times the median of all numbers, relative to the numbers; a peak has none."""
+    """Errors are raised to b times the median of all numbers, relative to the numbers.
+
+    Peaks have none.
+    """
     this = case("interfaces.lower_upper.friction_coefficient=0")
     values = {"slip_p99": 2.0, "slip_p95": 1.0, "slip_mean": 0.5, "gap_p99": 4.0}
     other = {"slip_p99": 2.2, "slip_p95": 1.1, "slip_mean": 0.55, "gap_p99": 4.0}
@@ -202,7 +208,7 @@ def test_error_estimate_raises_accidentally_small_errors() -> None:
 
 @pytest.mark.parametrize(("key", "slips", "tractions"), [("gap", 1, 1), ("interference", 3.5, 2.5)])
 def test_error_estimate_of_press_fits_is_larger(key: str, slips: float, tractions: float) -> None:
-    """By fitted factors on slips and tractions, and not on motions."""
+    """Fitted factors apply to slips and tractions, and not to motions."""
     changes = {"slip_p99": 0.3, "pressure_p95": 0.3, "gap_p99": 0.3}
     errors = dict[str, dict[str, float]]()
     for law in ("friction_coefficient=0", f"{key}=0.01 mm"):
@@ -222,7 +228,7 @@ def test_error_estimate_of_press_fits_is_larger(key: str, slips: float, traction
 
 
 def test_error_estimate_raises_strains_of_the_cortex() -> None:
-    """A strain that is equal on two meshes has the usual part, in which strains do not count."""
+    """A strain that is equal on two meshes gets the usual error, without strains in the median."""
     this = case("interfaces.lower_upper.friction_coefficient=0")
 
     def on(slip: float, strain: float) -> dict[str, Any]:
@@ -237,7 +243,10 @@ def test_error_estimate_raises_strains_of_the_cortex() -> None:
 
 
 def test_error_estimate_of_gruen_zones() -> None:
-    """Means of interfaces and strain energy; what a coarser mesh has nothing of has none."""
+    """Numbers are means of interfaces and strain energy.
+
+    Zones without a value on the coarser mesh have none.
+    """
     this = case("interfaces.lower_upper.friction_coefficient=0")
 
     def zone(by: float, *regions: str) -> dict[str, Any]:
@@ -267,7 +276,10 @@ def test_error_estimate_of_gruen_zones() -> None:
 
 
 def test_error_estimate_raises_accidentally_small_errors_of_zones() -> None:
-    """To b times the median of parts; small values have the error of a quarter of the mean."""
+    """Errors are raised to b times the median of parts.
+
+    Small values get the error of a quarter of the mean.
+    """
     this = case("interfaces.lower_upper.friction_coefficient=0")
 
     def on(*pressures: float) -> dict[str, Any]:
@@ -295,7 +307,7 @@ def test_error_estimate_of_steps_on_one_coarser_mesh() -> None:
 
 
 def heated(size: float, increments: float) -> dict[str, Any]:
-    """Numbers of heat with an error of C h^1.5 + C' / n, whatever the order of the mechanics."""
+    """Numbers of heat with an error of C h^1.5 + C' / n, for any order of the mechanics."""
     wrong = 0.01 * size**1.5 + 0.02 / increments
     region = {
         "temperature_max": 60 + 10 * wrong,
@@ -338,7 +350,7 @@ def test_error_estimate_of_heat_follows_temperature() -> None:
 
 
 def test_error_estimate_of_heat_sees_two_meshes_that_agree_by_chance() -> None:
-    """The third mesh then shows the change, with order 1.5; a mesh alone has its larger factor."""
+    """The third mesh then shows the change, with order 1.5. A mesh alone has its larger factor."""
 
     def hottest(size: float, increments: float) -> dict[str, Any]:
         temperatures = {1.0: 60.0, 2.0: 60.0, 3.0: 58.0}
@@ -402,7 +414,10 @@ def test_error_estimate_of_the_stance_covers_a_finer_mesh() -> None:
 
 
 def test_error_estimate_ignores_zero_numbers() -> None:
-    """Rounding, and a slip that the mesh makes, leave the median; the rest keeps its errors."""
+    """Numbers of rounding and a slip made by the mesh leave the median.
+
+    Other numbers keep their errors.
+    """
     this = case("interfaces.lower_upper.friction_coefficient=0")
 
     def on(size: float) -> dict[str, Any]:

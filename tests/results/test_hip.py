@@ -20,7 +20,7 @@ BENT = (
 
 
 def test_hip_motion_of_a_bonded_stem_is_small() -> None:
-    """However much the bone bends: its top moves a hundred times as far."""
+    """The bone bends a lot: its top moves a hundred times as far as the stem in the bone."""
     solved = support.solve(support.STEM, *BONDED, *BENT)
     motion = StemMotion(solved.problem, solved.case)(solved.case.side)
     top = float(np.linalg.norm(motion["top_displacement"]))
@@ -30,7 +30,7 @@ def test_hip_motion_of_a_bonded_stem_is_small() -> None:
 
 
 def test_hip_motion_is_zero_in_a_rigid_rotation() -> None:
-    """By 0.01 rad about an axis askew: stem and bone keep their places to each other."""
+    """A rotation by 0.01 rad about an oblique axis keeps the relative place of stem and bone."""
     turn = "outer: {kind: displacement, boundary: bone_surface, x: 0.004 * z - 0.008 * y, "
     turn += "y: 0.008 * x - 0.005 * z, z: 0.005 * y - 0.004 * x}"
     solved = support.solve(support.STEM, *BONDED, f"supports={{{turn}}}", "loads={}")
@@ -40,7 +40,7 @@ def test_hip_motion_is_zero_in_a_rigid_rotation() -> None:
 
 
 def test_hip_motion_of_a_right_hip_is_mirrored() -> None:
-    """Of a load towards +x and one towards -x, with a torque about the axis."""
+    """One load acts towards +x, the other towards -x, with a torque about the axis."""
     motions = []
     for side, sign in (("left", 1), ("right", -1)):
         solved = support.solve(

@@ -72,9 +72,10 @@ def test_interface_numbers_slip_is_a_state_and_its_path_accumulates(
 def test_interface_numbers_slip_of_rounding_size_counts_as_stick(
     slid: float, fraction: float
 ) -> None:
-    """A point under a millionth of the former pressure, where any motion exceeds the limit.
+    """A point has less than a millionth of the former pressure.
 
-    The longest path of sliding is 0.04 mm. A step of 1e-11 mm is below 1e-9 of it.
+    So any motion exceeds the friction limit. The longest path of sliding is 0.04 mm. A step of
+    1e-11 mm is below 1e-9 of it.
     """
     path = [(0, -0.001), (0.04, -0.001), (0.04, -1e-9), (0.04 + slid, -1e-9)]
     q = moved(path, "friction_coefficient: 0.3")
@@ -83,7 +84,7 @@ def test_interface_numbers_slip_of_rounding_size_counts_as_stick(
 
 @pytest.mark.parametrize("friction", [0.0, 0.4])
 def test_interface_numbers_slip_is_independent_of_proportional_steps(friction: float) -> None:
-    """A taper pressed home: the same slip in 1, 3 and 16 steps."""
+    """A taper is pressed in, with the same slip in 1, 3 and 16 steps."""
     interfaces = [
         support.solve(
             support.STEM,
@@ -103,14 +104,14 @@ def test_interface_numbers_slip_is_independent_of_proportional_steps(friction: f
 
 
 def test_interface_numbers_slip_is_zero_where_points_stick() -> None:
-    """Friction of 10 holds what moves aside by as much as it is pressed."""
+    """Friction of 10 holds a lateral motion as large as the compression."""
     q = moved([(0, -0.01), (0.01, -0.01)], "friction_coefficient: 10")
     assert q["slip_max"] < 1e-12 and q["motion_max"] < 1e-12
 
 
 @pytest.mark.parametrize("stiff", ["lower", "upper"])
 def test_interface_numbers_force_acts_on_the_second_body(stiff: str) -> None:
-    """Pressed down by 16 N, whichever side is the softer one."""
+    """A force of 16 N presses down, with either side softer."""
     q = support.solve(
         ELASTIC,
         f"regions.{stiff}.youngs_modulus=1000 MPa",
@@ -126,7 +127,7 @@ CONTACTS = ("stem_cement", "cement_bone")
 
 @pytest.mark.parametrize(("normal_error", "decides"), [(0.0, False), (0.1, True)])
 def test_interface_numbers_pressure_by_facets(normal_error: float, decides: bool) -> None:
-    """A normal that is off by an angle a presses the surface by k s sin a at a slip s."""
+    """A normal that is wrong by an angle a presses the surface by k s sin a at a slip s."""
     solved = support.solve(support.STEM)
     contact = solved.problem.contact
     assert contact is not None

@@ -28,7 +28,7 @@ loads: {weight: {kind: pressure, boundary: top, pressure: 2 MPa}}
 
 
 def on_a_cylinder(radius: float, angle: float) -> tuple[InterfaceFacets, Floats]:
-    """One curved facet on a cylinder about z, its master inside; and its nodes."""
+    """One curved facet on a cylinder about z, with its master inside, and its nodes."""
     phi = np.array([0.0, angle, 0.0])
     z = np.array([0.0, 0.0, 1.0])
     phi = np.concatenate([phi, [phi[list(e)].mean() for e in MIDDLES]])
@@ -50,7 +50,7 @@ def on_a_cylinder(radius: float, angle: float) -> tuple[InterfaceFacets, Floats]
 
 
 def test_interface_numbers_penetration_of_sliding_along_a_curved_facet_is_zero() -> None:
-    """Turning about the axis keeps a distance of 0, moving aside opens by c . n, widening by w."""
+    """Rotation about the axis keeps a distance of 0. Translation opens by c . n, widening by w."""
     facets, x = on_a_cylinder(7.0, 0.3)
     rows = np.zeros(1, dtype=np.int64)
     radial = x * (1, 1, 0) / 7.0
@@ -70,7 +70,7 @@ def test_interface_numbers_penetration_of_sliding_along_a_curved_facet_is_zero()
 def distances(s: Solved, i: int) -> Floats:
     """Signed distances of points of the deformed slave surface to the deformed master surface.
 
-    Along the normal at the nearest of many points of the master's facets.
+    The distance is along the normal at the nearest of many points of the master's facets.
     """
     j = s.problem.contact
     facets = j.facets
@@ -96,7 +96,7 @@ def distances(s: Solved, i: int) -> Floats:
 
 @pytest.mark.slow
 def test_interface_numbers_penetration_is_the_distance_of_deformed_surfaces() -> None:
-    """Along the normals of the deformed facets, to what small motions neglect."""
+    """Distances are along the normals of the deformed facets, up to what small motions neglect."""
     s = solve(STEM, "mesh.order=2", "mesh.size=3.5 mm")
     deepest = -distances(s, 0).min()
     assert deepest > 1e-4
@@ -104,7 +104,10 @@ def test_interface_numbers_penetration_is_the_distance_of_deformed_surfaces() ->
 
 
 def test_interface_numbers_penetration_of_a_penalty_is_equal_between_points() -> None:
-    """Both methods are measured alike: on plane facets between points is what is at points."""
+    """Both methods are measured alike.
+
+    On plane facets the value between points is that at points.
+    """
     s = solve(PRESSED)
     q = s.interfaces["base_upper"]
     for what in ("max", "sampled", "mean"):

@@ -120,7 +120,7 @@ def places(path: PathTable) -> np.ndarray:
 
 
 def test_path_tables_quadratic_displacement_is_exact(tmp_path: Path) -> None:
-    """Bending at second order; stress is linear, and the von Mises stress has a kink."""
+    """Bending at second order has linear stress, and a von Mises stress with a kink."""
     path = at_end(support.run(BENT, tmp_path), "across")
     x, y, z = places(path).T
     inside = (x >= 0) & (x <= 4)
@@ -142,7 +142,7 @@ def test_path_tables_quadratic_displacement_is_exact(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_path_tables_linear_displacement_is_exact(order: int, tmp_path: Path) -> None:
-    """A bar under tension, at the written steps and in all kinds of paths through bodies."""
+    """A bar is under tension. Written steps and all kinds of paths through bodies are exact."""
     results = support.run(BAR, tmp_path, f"mesh.order={order}")
     table = results.paths["up"]
     assert np.unique(table["step"]).tolist() == [1, 2]
@@ -180,7 +180,7 @@ def test_path_tables_stress_jumps_between_bonded_regions(tmp_path: Path) -> None
 
 
 def test_path_tables_temperature_through_a_wall_is_exact(tmp_path: Path) -> None:
-    """Linear in each layer; each region has its side of the temperature jump."""
+    """The temperature is linear in each layer. Each region has its side of the jump."""
     results = support.run(WALL_WITH_PATHS, tmp_path)
     flux = 60.0 / (5 / 2.0 + 1 / 0.4 + 3 / 0.5 + 1 / 0.2)  # mW/mm2
     warm, cool = at_end(results, "warm"), at_end(results, "cool")
@@ -192,7 +192,7 @@ def test_path_tables_temperature_through_a_wall_is_exact(tmp_path: Path) -> None
 
 
 def test_path_tables_of_a_shrink_fit_follow_lame(tmp_path: Path) -> None:
-    """Pressure around and along the interface, radial and hoop stress through both rings."""
+    """Pressure is around and along the interface, radial and hoop stress through both rings."""
     results = support.run(FIT, tmp_path)
     a, b, nu = 7.0, 16.0, 0.3
 
@@ -234,7 +234,7 @@ def test_path_tables_of_a_shrink_fit_follow_lame(tmp_path: Path) -> None:
 
 @pytest.mark.parallel
 def test_path_tables_on_two_ranks_have_equal_numbers(tmp_path: Path) -> None:
-    """Of contact, bodies and heat: every point of every kind of path."""
+    """Every point of every kind of path has equal numbers of contact, bodies and heat."""
     for name, text in (("fit", FIT), ("bar", BAR), ("wall", WALL_WITH_PATHS)):
         folder = tmp_path / name
         folder.mkdir()
@@ -250,7 +250,7 @@ def test_path_tables_on_two_ranks_have_equal_numbers(tmp_path: Path) -> None:
 
 
 def test_path_tables_continue_after_a_restart(tmp_path: Path) -> None:
-    """Also without field files."""
+    """Runs without field files continue too."""
     changes = {"output.fields": False, "output.checkpoint.steps": 1}
     (tmp_path / "case.yaml").write_text(BAR)
     case = mantle.load(tmp_path / "case.yaml", **changes)
@@ -290,7 +290,7 @@ def test_path_tables_continue_after_a_restart(tmp_path: Path) -> None:
 def test_path_tables_wrong_keys_are_found_by_check(
     changes: dict[str, dict[str, object]], text: str, tmp_path: Path
 ) -> None:
-    """With the line of the file, before anything is solved."""
+    """Errors have the line of the file and come before the solve."""
     (tmp_path / "case.yaml").write_text(BAR)
     name, keys = next(iter(changes.items()))
     if "kind" in keys:

@@ -9,7 +9,10 @@ from app.results.percentiles import SurfaceField
 
 
 def test_percentiles_are_levels_of_the_linear_field() -> None:
-    """f = x on the unit square, cut in two triangles: as much lies below a level as it says."""
+    """The field is f = x on the unit square, cut in two triangles.
+
+    The area below a level equals the level.
+    """
     x = np.array([[(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)], [(0.0, 0.0), (1.0, 1.0), (0.0, 1.0)]])
     x = np.concatenate([x, np.zeros((2, 3, 1))], axis=2)
     field = SurfaceField(x[:, :, 0], np.array([0.5, 0.5]), x)

@@ -30,7 +30,7 @@ def test_stresses_hoop_needs_an_axis() -> None:
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_stresses_uniform_at_every_node(order: int, tmp_path: Path) -> None:
-    """1 MPa on a block without Poisson's ratio, however many points a cell has."""
+    """A block without Poisson's ratio has 1 MPa, for any number of points of a cell."""
     text = ELASTIC + "loads: {press: {kind: pressure, boundary: top, pressure: 1 MPa}}\n"
     results = support.run(text, tmp_path, "interfaces={}", f"mesh.order={order}")
     stress = results.fields.on_points("stress")

@@ -34,13 +34,16 @@ def stack() -> TaggedMesh:
 
 
 def bone_through(tagged: TaggedMesh, celsius: Callable[[float], float], *times: float) -> Any:
-    """Numbers of bone that has one temperature at a time."""
+    """Numbers of bone with one temperature at a time."""
     play = Play(tagged, lambda x, t: np.full(len(x), celsius(t)), constant(20.0))
     return play.through(*times)["regions"]["bone"]
 
 
 def falling(x: np.ndarray, t: float) -> np.ndarray:
-    """47 degC between the nodes at 1.0 and 1.5 mm, 52.5 at the interface, in the bone."""
+    """The temperature of the bone is 52.5 degC at the interface.
+
+    The level 47 degC is between the nodes at 1.0 and 1.5 mm.
+    """
     return 43.0 + 4.75 * x[:, 2]
 
 
@@ -98,7 +101,7 @@ def test_thermal_record_finds_peaks_between_steps(stack: TaggedMesh) -> None:
 
 
 def test_thermal_record_invents_no_peak(stack: TaggedMesh) -> None:
-    """After very unequal steps, and at a sharp turn."""
+    """Steps are very unequal, and the curve turns sharply."""
     bone = bone_through(stack, lambda t: 37.0 if t == 0 else 60.0 - 1e-3 * t, 1e-3, 100.0)
     assert 60.0 - 1e-6 <= bone["temperature_max"] < 60.02
     tent = ([0.0, 20.0, 60.0], [37.0, 57.0, 41.0])
@@ -110,7 +113,10 @@ def test_thermal_record_invents_no_peak(stack: TaggedMesh) -> None:
 def test_thermal_record_doses_follow_the_curve(
     stack: TaggedMesh, step: float, error: float
 ) -> None:
-    """Warming and cooling within two minutes: chords lose 2.5 and 9.6 % of the damage integral."""
+    """The bone warms and cools within two minutes.
+
+    Chords lose 2.5 and 9.6 % of the damage integral.
+    """
 
     def celsius(t: float) -> float:
         return 37.0 + 25.0 * np.exp(-((t / 60 - 3) ** 2))
@@ -125,7 +131,7 @@ def test_thermal_record_doses_follow_the_curve(
 
 
 def test_thermal_record_keeps_kinks(stack: TaggedMesh) -> None:
-    """Heating that is switched off: what was rising does not go on."""
+    """Heating is switched off, so a rise ends at the kink."""
     bone = bone_through(stack, lambda t: min(37.0 + t, 57.0), *np.arange(5.0, 61.0, 5.0))
     assert bone["temperature_max"] == pytest.approx(57.0)
     minutes = (quad(lambda t: 2 ** (t - 6), 6, 20)[0] + 40 * 2**14) / 60
@@ -154,7 +160,7 @@ BATH = ([0, 20, 30, 60, 75, 100, 110], [37, 47, 52, 52, 49, 37, 37])
 def test_thermal_record_doses_of_piecewise_linear_temperatures(
     monkeypatch: pytest.MonkeyPatch, equal: bool
 ) -> None:
-    """Held at temperatures that are linear in time between kinks."""
+    """Temperatures are linear in time between kinks."""
     steps = "stages.0={name: bath, duration: 110 s, increments: 11, adaptive: false}"
     run = coupled.solve(monkeypatch, *([steps] if equal else []), text=HELD)
     doses = run.model.thermal.record.regions["bone"].doses.totals
@@ -178,7 +184,7 @@ def test_thermal_record_doses_of_piecewise_linear_temperatures(
 def test_thermal_record_doses_after_a_warm_steady_state(
     stack: TaggedMesh, celsius: tuple[float, float], known: bool
 ) -> None:
-    """However long it takes, and whatever comes later; CEM43 counts from 39 degC on."""
+    """The duration and later temperatures do not matter. CEM43 counts from 39 degC on."""
     play = Play(stack, constant(celsius[0]), constant(celsius[0]))
     play.states = (constant(celsius[1]), constant(celsius[1]))
     hot = play.through(0.0)
@@ -259,7 +265,10 @@ def logistic(t: np.ndarray | float, k: float = 6.82396e-3, seed: float = 1e-3) -
 
 
 def test_thermal_record_cure_of_a_logistic_curve() -> None:
-    """Isothermal autocatalysis, m = n = 1: t50 = 1012.133 s; a second node half a minute late."""
+    """Isothermal autocatalysis with m = n = 1 has t50 = 1012.133 s.
+
+    A second node is half a minute late.
+    """
     k = 6.82396e-3
     late = np.array([0.0, 30.0])
     record = CureRecord(MPI.COMM_SELF, {"cement": logistic(-late)}, {})

@@ -1,4 +1,4 @@
-"""Results that are not to be used: a separate status and exit code, alone and in sweeps."""
+"""Unusable results have a separate status and exit code, alone and in sweeps."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_verdicts_unusable_run_has_status_and_exit_code(
 
 
 def test_verdicts_unusable_results_out_of_balance() -> None:
-    """A balance of 1e-8 and more of force, and one that is no number."""
+    """The balance of force is 1e-8 or more, or not a number."""
     good = {"balance": {"force": 9e-9, "heat": 9e-7}, "interfaces": {}}
     assert unbalanced(good) == []
     assert unbalanced({"balance": {"force": 1e-8, "heat": float("nan")}}) == ["force", "heat"]
@@ -65,7 +65,7 @@ def test_verdicts_unusable_results_out_of_balance() -> None:
 def test_verdicts_unusable_runs_are_separate_in_sweeps_and_reports(
     shared: bool, case: Path, tmp_path: Path
 ) -> None:
-    """Also where a process has several cases: of friction, which leaves the stiffness alone."""
+    """One process has several cases, which differ in friction and share the stiffness."""
     grid = "supports.grip.x: [0.1 mm, 4 mm]"
     if shared:
         case.write_text(DRAWN.replace("x: 0.1 mm", "x: 4 mm"))

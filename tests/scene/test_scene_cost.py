@@ -1,4 +1,4 @@
-"""A scene pays only for what it contains: unknowns, blocks, compiled laws and forms."""
+"""A scene costs only what it contains: unknowns, blocks, compiled laws and forms."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Bill:
 
 
 def made(text: str, *overrides: str) -> Bill:
-    """Set a model up and note what it builds and compiles."""
+    """Set up a model, and count what it builds and compiles."""
     counts = dict.fromkeys(("heat_laws", "forms", "heat_forms", "integrals"), 0)
     systems: list[tuple[str, ...]] = []
     laws: list[tuple[int, bool]] = []
@@ -126,7 +126,10 @@ def touching(one: float | None, two: float | None) -> str:
 
 
 def test_scene_cost_bonded_is_one_continuous_field() -> None:
-    """No jump, no law, one block, one body; listing the interface as bonded changes nothing."""
+    """There is no jump and no law, one block and one body.
+
+    A listed bonded interface changes nothing.
+    """
     unlisted = cost("")
     listed = cost("lower_middle: {kind: bonded}, middle_upper: {kind: bonded}")
     assert unlisted == listed
@@ -165,7 +168,10 @@ def test_scene_cost_contact_adds_only_jumps() -> None:
 
 
 def test_scene_cost_laws_are_compiled_only_as_needed() -> None:
-    """The frictionless law is another, smaller one; friction, gap and moduli are no code."""
+    """The frictionless law is separate and smaller.
+
+    Values of friction, gap and moduli compile nothing.
+    """
     smooth, rough, mixed = contact(0, 0), contact(0.3, 0.4), contact(0, 0.4)
     assert smooth.laws == [(1, False)] and mixed.laws == [(1, False), (1, True)]
     assert smooth == replace(mixed, laws=smooth.laws)
@@ -219,7 +225,7 @@ CONDUCTION = 4
 
 @pytest.fixture(scope="module")
 def size() -> tuple[int, int]:
-    """Nodes of the mesh, and those of its interface: 1 unknown of temperature each, 3 of motion."""
+    """Nodes of the mesh and of its interface. Each has 1 unknown of temperature and 3 of motion."""
     case = support.case(
         BLOCKS + f"regions: {{lower: {{{ELASTIC}}}, upper: {{{ELASTIC}}}}}\n" + MECHANICAL
     )
@@ -228,7 +234,7 @@ def size() -> tuple[int, int]:
 
 
 def test_scene_cost_heat_alone_has_no_mechanics(size: tuple[int, int]) -> None:
-    """No displacement, no form of the mechanics, no problem built; perfect joints cost nothing."""
+    """No displacement and no form of the mechanics is built. Perfect joints cost nothing."""
     n, m = size
     perfect = bill("kind: bonded", elastic=False)
     assert perfect == Bill({"temperature": n}, [("temperature",)], [], 0, 0, CONDUCTION, 4)
@@ -238,7 +244,7 @@ def test_scene_cost_heat_alone_has_no_mechanics(size: tuple[int, int]) -> None:
 
 
 def test_scene_cost_mechanics_alone_has_no_heat(size: tuple[int, int]) -> None:
-    """No temperature, no form or law of the heat, no conduction built."""
+    """No temperature, no form or law of heat, and no conduction is built."""
     n, m = size
     bonded = bill("kind: bonded", heated=False)
     assert bonded == Bill({"displacement": 3 * n}, [("displacement",)], [], 0, FORMS, 0, 3)
@@ -248,7 +254,10 @@ def test_scene_cost_mechanics_alone_has_no_heat(size: tuple[int, int]) -> None:
 
 
 def test_scene_cost_one_way_coupling_is_the_sum_of_both(size: tuple[int, int]) -> None:
-    """Two systems, no block between them; expansion costs its forces and their work."""
+    """There are two systems and no block between them.
+
+    Expansion costs its forces and their work.
+    """
     n, _ = size
     motion = bill(RUBS, heated=False)
     heat = bill(f"kind: bonded, {FINITE}", elastic=False)

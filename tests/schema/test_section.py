@@ -8,7 +8,7 @@ from app.schema.section import Section
 
 
 def test_section_with_cached_arrays_compares_by_fields() -> None:
-    """Caches by geometry meet a second one of the same case, which holds arrays already."""
+    """A cache by geometry compares sections that already hold arrays."""
 
     class Place(Section):
         x: float = 1.0

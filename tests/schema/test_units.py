@@ -1,4 +1,4 @@
-"""Units: conversion and any text."""
+"""Units: conversion, and arbitrary texts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ angles = st.floats(-math.pi, math.pi).map(lambda v: f"{v!r} rad")
 
 @given(finite, st.sampled_from(sorted(FACTORS)), st.sampled_from(["", " ", "\t"]))
 def test_units_conversion_is_rounded_once(value: float, unit: str, space: str) -> None:
-    """The result is the float nearest to the exact product of the number as written."""
+    """The result is the float nearest to the exact product of the written number."""
     text = f"{value!r}{space}{unit}"
     exact = Fraction(repr(value)) * FACTORS[unit]
     try:

@@ -1,4 +1,4 @@
-"""Where a result comes from: what was read when the run began."""
+"""Provenance of a result: the inputs that were read at the start of the run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ loads: {press: {kind: pressure, boundary: top, pressure: 2 MPa}}
 
 
 def test_session_provenance_has_the_case_as_it_was_read(tmp_path: Path) -> None:
-    """The run ends as any other; digests are those of the bytes that were parsed."""
+    """Files change after they are read. Digests are those of the bytes that were parsed."""
     base, case = tmp_path / "base.yaml", tmp_path / "case.yaml"
     base.write_text(BASE, encoding="utf-8")
     case.write_text("base: base.yaml\ntitle: Gone\n", encoding="utf-8")

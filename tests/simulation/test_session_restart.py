@@ -1,4 +1,4 @@
-"""A run that is interrupted after any step and goes on ends with the same numbers."""
+"""A run that is interrupted after any step and continued has the same numbers."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Restart:
-    """A case, and where it is interrupted.
+    """A case, and its interruptions.
 
     Attributes:
         text: The case.

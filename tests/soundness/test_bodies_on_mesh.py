@@ -1,4 +1,4 @@
-"""Bodies on a mesh: what joins them."""
+"""Bodies on a mesh, and the interfaces that join them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.support import build
 
 
 def test_bodies_on_mesh_only_bonded_interfaces_join_bodies() -> None:
-    """A law of a kind yet to come that can open is no bond; one that cannot is."""
+    """A new kind of law that can open is no bond. One that cannot open is a bond."""
     case = support.case(TWO)
     parts = well_posedness.mesh_parts(case, build(case))
     law = SimpleNamespace(can_open=True, gap_field=lambda *_: lambda x: np.full(len(x), 0.1))

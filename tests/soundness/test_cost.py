@@ -1,4 +1,4 @@
-"""Estimated times beside those measured on one idle core."""
+"""Estimated times against times measured on one idle core."""
 
 from __future__ import annotations
 
@@ -68,7 +68,10 @@ def contact_line(name: str, *changes: str, available: float = 1e10) -> str:
 
 
 def test_cost_check_names_the_solver_and_reason() -> None:
-    """By count of solves, order, memory and what is asked for; beside heat of contact, nothing."""
+    """The choice depends on the number of solves, order, memory and options.
+
+    With heat of contact there is no choice.
+    """
     small = contact_line("stance", "mesh.size=10 mm")
     condensed = r"1 solve of [\d,]+ displacement unknowns by condensation onto the jumps, [\d.]+ GB"
     assert re.search(f"{condensed}$", small)

@@ -19,7 +19,7 @@ from tests.support import CONFIGS
 
 
 def test_failure_states_that_repeat_are_a_cycle() -> None:
-    """Two points that change in turn, one that settled, and one that never moved."""
+    """Two points change in turn, one has settled, one has never moved."""
     active = ActiveSet(MPI.COMM_SELF)
     for k in range(7):
         active.add(np.array([k % 2, 1 + (k + 1) % 2, int(k > 1), 1]))
@@ -34,7 +34,10 @@ def test_failure_states_that_repeat_are_a_cycle() -> None:
 
 
 def test_failure_message_names_places_states_and_remedies(caplog: pytest.LogCaptureFixture) -> None:
-    """Two iterations at a time do not do: the message has places, states, remedies, residuals."""
+    """Two iterations at a time do not suffice.
+
+    The message has places, states, remedies, residuals.
+    """
     caplog.set_level(logging.INFO, "mantle")
     case = (CONFIGS / "stress" / "stem.yaml").read_text()
     with pytest.raises(ConvergenceError) as caught:
@@ -66,7 +69,7 @@ def test_failure_names_a_lifted_body() -> None:
 
 
 def test_failure_names_a_stem_off_its_taper() -> None:
-    """From rest and without gaps half the load fails too."""
+    """Half of the load fails too, from rest and without gaps."""
     finer = "mesh.size=4 mm", "mesh.order=2"
     named = "100 % of it: nothing holds body 'stem': it is free to move along z, and the loads act"
     with pytest.raises(ConvergenceError, match=named) as caught:
@@ -76,7 +79,7 @@ def test_failure_names_a_stem_off_its_taper() -> None:
 
 @pytest.mark.parametrize(("push", "held"), [(70, True), (90, False)])
 def test_failure_body_held_by_friction_is_not_lifted(push: float, held: bool) -> None:
-    """200 N press a block on another, with a friction of 0.4."""
+    """A force of 200 N presses a block on another, with a friction of 0.4."""
     aside = f"loads.aside={{kind: force, boundary: top, force: [{push} N, 0 N, 0 N]}}"
     problem, _ = support.assemble(support.case(TWO, aside))
     problem.set_time(1.0)

@@ -1,4 +1,4 @@
-"""Klarbring's particle: how many equilibria a point has, by trying all its states."""
+"""Klarbring's particle: numbers of equilibria of a point, by trying all its states."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NEAR = 1e-3
 def numbers_of_states(K: Floats, μ: float) -> set[int]:
     """Numbers of solutions of K q = b + r in the plane that occur over all directions of b.
 
-    K = [[k_T, w], [w, k_N]]; every state is tried with every load.
+    The stiffness is K = [[k_T, w], [w, k_N]]. Every state is tried with every load.
     """
     angles = np.linspace(0, 2 * np.pi, 20_001)[:-1] + 1e-5
     load = np.stack([np.cos(angles), np.sin(angles)])
@@ -33,14 +33,14 @@ def numbers_of_states(K: Floats, μ: float) -> set[int]:
 
 
 def critical_in_the_plane(K: Floats) -> float:
-    """Of a particle in space that is free to move in the plane of x and z alone."""
+    """Critical friction of a particle in space that moves in the plane of x and z alone."""
     whole = np.eye(3) * K.trace()
     whole[np.ix_([0, 2], [0, 2])] = K
     return float(critical_friction(whole[None], np.array([[0.0, 0.0, 1.0]]))[0])
 
 
 def test_failure_critical_friction_of_klarbrings_particle() -> None:
-    """k_T = 1, k_N = 2, w = 0.8: one solution for every load up to a coefficient of 1.25."""
+    """Values k_T = 1, k_N = 2, w = 0.8 give every load one solution up to a coefficient of 1.25."""
     K = np.array([[1, 0.8], [0.8, 2]])
     assert critical_in_the_plane(K) == pytest.approx(1.25, rel=1e-14)
     for μ in (0.0, 0.3, 1.0, 1.25 * (1 - NEAR)):
@@ -62,7 +62,7 @@ def test_failure_critical_friction_of_random_particles_in_the_plane() -> None:
 def slips(K: Floats, load: Floats, μ: float, φ: Floats) -> int:
     """Number of sliding states (s, p, t) in space, by the roots over the directions of slip.
 
-    s A t + μ p t = b_T with p = s w·t - b_n: two equations, whose ratio gives the direction.
+    The equations s A t + μ p t = b_T with p = s w·t - b_n are two; their ratio gives the direction.
     """
     A, w = K[:2, :2], K[2, :2]
 
@@ -86,7 +86,10 @@ def number_in_space(K: Floats, load: Floats, μ: float, φ: Floats) -> int:
 
 
 def test_failure_critical_friction_of_random_points_in_space() -> None:
-    """Below, one state for random loads and near the fold; beyond, stick and slip at the fold."""
+    """Below the value random loads and those near the fold have one state.
+
+    Beyond it the fold has stick and slip.
+    """
     rng = np.random.default_rng(2)
     φ = np.linspace(0, 2 * np.pi, 4001)
     n = np.array([[0.0, 0.0, 1.0]])
@@ -159,7 +162,7 @@ def test_failure_critical_friction_is_reported_only_beyond() -> None:
 
 
 def test_failure_critical_friction_uses_the_jump_block() -> None:
-    """A unit jump of one component meets the forces of its column."""
+    """A unit jump of one component causes the forces of its column."""
     problem, solver = support.assemble(stack(0.5))
     j = problem.contact
     u, q = solver.u_and_q(solver.x.duplicate())

@@ -1,4 +1,4 @@
-"""Notes on input that is rarely meant (`app/soundness/preview.py`)."""
+"""Notes on implausible input (`app/soundness/preview.py`)."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_preview_notes_loads_that_fall_in_a_stage_with_cycles(
 
 
 def test_preview_notes_conductance_across_open_contact() -> None:
-    """One that falls is not, nor one of a bond, nor one where nothing moves."""
+    """Conductance that falls has no note, nor has a bond, nor an interface without motion."""
 
     def noted(name: str, **changes: object) -> list[str]:
         notes = texts(mantle.load(CONFIGS / name, **changes).config)

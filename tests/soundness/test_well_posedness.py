@@ -1,4 +1,4 @@
-"""Errors and notes before a case is solved; cases without any."""
+"""Errors and notes on a case on its mesh; cases without any."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ loads:
 
 
 def torn(data: MeshData, case: Case, name: str, share: float = 1.1) -> MeshData:
-    """The mesh with its first facets of an interface in z, by x, cut open."""
+    """The mesh, cut open at its first facets of an interface in z, by x."""
     upper = case.geometry.interface_sides[name][1]
     nodes = np.unique(meshes.interface_facets(data, name)[0])
     x = data.points[nodes, 0]
@@ -139,9 +139,9 @@ def test_well_posedness_frictionless_pin_and_taper(order: int) -> None:
 
 
 def test_well_posedness_refuses_a_loose_body(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A block that a crack parts from the one below, though its interface is bonded.
+    """A crack parts a block from the one below, though its interface is bonded.
 
-    A run refuses it in the same words, before it factorizes a singular matrix.
+    A run refuses the case in the same words, before it factorizes a singular matrix.
     """
     case = support.case(TWO, "interfaces={}")
     parts = well_posedness.mesh_parts(case, build(case))
@@ -192,7 +192,7 @@ def test_well_posedness_names_a_loose_piece() -> None:
 
 
 def test_well_posedness_notes_cracks_in_an_interface() -> None:
-    """In a part of it, as a note; along all of it there is no interface."""
+    """A crack in a part of the interface has a note. Along all of it there is no interface."""
     case = support.case(TWO)
     data = build(case)
     (note,) = judge(case, torn(data, case, "bone_metal", 0.4))
@@ -202,7 +202,7 @@ def test_well_posedness_notes_cracks_in_an_interface() -> None:
 
 
 def test_well_posedness_notes_a_dependent_interface(tmp_path: Path) -> None:
-    """Three bodies around a line, each in contact with both others."""
+    """Three bodies surround a line. Each is in contact with both others."""
     case = support.case(TWO)
     data = build(case)
     left = data.points[data.cells[:, :4]].mean(axis=1)[:, 0] < 5
@@ -254,7 +254,7 @@ def test_well_posedness_refuses_impossible_cases() -> None:
     ],
 )
 def test_well_posedness_refuses_contradictory_displacements(more: str, wrong: bool) -> None:
-    """By what they are at its nodes, not by what they are written as."""
+    """Values at nodes are compared, not texts."""
     more = f"supports.more={{kind: displacement, boundary: {more}}}"
     if not wrong:
         assert not any("supports.more" in note for note in judged(TWO, more))

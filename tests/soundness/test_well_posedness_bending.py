@@ -1,4 +1,4 @@
-"""Linear cells that bend too little: how much of it is noted, and where."""
+"""Linear cells that are too stiff in bending: the amount in the note, and its place."""
 
 from __future__ import annotations
 
@@ -40,7 +40,10 @@ def noted(text: str) -> list[str]:
 def test_well_posedness_bending_note_on_linear_cells_has_the_stiffness_of_a_beam(
     L: float, b: float, h: float, size: float
 ) -> None:
-    """Timoshenko: L^3 / (3 E I) + L / (5/6 G b h) at the end; the same mesh of order 2 is exact."""
+    """The end moves by L^3 / (3 E I) + L / (5/6 G b h) (Timoshenko).
+
+    The same mesh of order 2 is exact.
+    """
     text = BEAM.format(L=L, b=b, h=h, size=size, order=1)
     (note,) = noted(text)
     match = re.fullmatch(
@@ -57,7 +60,7 @@ def test_well_posedness_bending_note_on_linear_cells_has_the_stiffness_of_a_beam
 
 
 def test_well_posedness_bending_note_is_absent_without_bending() -> None:
-    """A cube; a bar of many cells; a slice between rollers."""
+    """A cube, a bar of many cells, and a slice between rollers have no bending."""
     assert noted(BEAM.format(L=10, b=10, h=10, size=10, order=1)) == []
     assert noted(BEAM.format(L=50, b=10, h=10, size=1.3, order=1)) == []
     plate = BEAM.format(L=50, b=50, h=2, size=4, order=1)
@@ -72,7 +75,7 @@ def test_well_posedness_bending_note_is_absent_without_bending() -> None:
 def test_well_posedness_bending_note_is_in_summary_table_and_page(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A sweep over the order: the linear case is noted, the other is not."""
+    """A sweep over the order has the note for the linear case only."""
     (tmp_path / "case.yaml").write_text(BEAM.format(L=100, b=10, h=10, size=10, order=1))
     (tmp_path / "sweep.yaml").write_text("base: case.yaml\ngrid: {mesh.order: [1, 2]}\n")
     folder = tmp_path / "out"

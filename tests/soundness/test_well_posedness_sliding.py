@@ -108,7 +108,7 @@ def test_well_posedness_sliding_refuses_interfaces_that_do_not_fit(
 
 
 def test_well_posedness_sliding_refuses_supports_on_its_nodes() -> None:
-    """A support at the rim of a liner; two boundaries with the same nodes."""
+    """A support is at the rim of a liner, or two boundaries have the same nodes."""
     rim = r"^supports.rim: 36 nodes of liner_inner, .* mm, are constrained twice: here and by the "
     rim += "finite sliding of interfaces.bearing;"
     with pytest.raises(InputError, match=rim):
@@ -122,7 +122,7 @@ def test_well_posedness_sliding_refuses_supports_on_its_nodes() -> None:
 
 
 def drawn(*overrides: str, plate: float = 0.0, step: float = 0.0) -> support.Solved:
-    """Draw the block, its top lower at both ends, the plate moved along z [mm]."""
+    """Draw the block, whose top is lower at both ends, with the plate moved along z [mm]."""
     case = support.case(DRAWN, *overrides)
     data = build(case.geometry, case.mesh)
     x, nodes = data.points.copy(), np.unique(data.cells[data.cell_tags == data.regions["plate"]])
@@ -134,7 +134,7 @@ def drawn(*overrides: str, plate: float = 0.0, step: float = 0.0) -> support.Sol
 
 @pytest.mark.parametrize(("plate", "step"), [(0, 0), (-1, 0), (1, 0), (0, 5)])
 def test_well_posedness_sliding_of_a_block(plate: float, step: float) -> None:
-    """Friction is mu N all the way, from an overlap or a gap too, and at edges of the block."""
+    """Friction is mu N on the whole path, from an overlap or a gap, and at edges of the block."""
     solved = drawn(plate=plate, step=step)
     force = solved.last.weight @ solved.last.force
     assert force[2] == pytest.approx(-500)
@@ -150,7 +150,7 @@ def test_well_posedness_sliding_refuses_a_block_off_its_plate() -> None:
 
 
 def test_well_posedness_sliding_notes_on_tipping_elastic_bodies() -> None:
-    """Drawn up a slope θ the block takes F tan(θ + arctan μ), but surfaces do not turn."""
+    """A block that is drawn up a slope θ needs F tan(θ + arctan μ), but surfaces do not turn."""
     stiff = "regions.plate={youngs_modulus: 210 GPa, poisson_ratio: 0.3, tissue: other}"
     table = "kind: displacement, boundary: plate_top, x: 0 mm, y: 0 mm, history: [1, 1]"
     last = drawn(stiff, f"supports.table={{{table}, z: 0.009 * x}}").last

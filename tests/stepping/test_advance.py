@@ -15,7 +15,7 @@ from tests import support
 def test_advance_cut_back_steps_end_at_the_increment(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Fields are written at the ends of the increments asked for, however they are reached."""
+    """Fields are written at the ends of the given increments, for any steps between them."""
     calls = 0
 
     def failing_twice(solver: Solver) -> NewtonResult:

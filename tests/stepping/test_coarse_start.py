@@ -45,7 +45,7 @@ def always(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def states(model: Model) -> Any:
-    """Jumps and forces of the last step, each over its largest (2, n, 3)."""
+    """Jumps and forces of the last step, each relative to its largest (2, n, 3)."""
     j = model.mechanical_path.problem.contact
     return np.array([v / np.abs(v).max() for v in (j.state.jump, j.state.force)])
 
@@ -57,10 +57,10 @@ def states(model: Model) -> Any:
 def test_coarse_start_changes_iterations_but_not_results(
     overrides: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The same jumps and forces, and the first of them from a start that is much nearer.
+    """Jumps and forces are equal. The first step has a start that is much nearer.
 
-    Also where supports give jumps, and at second order, which starts from the first on a mesh that
-    is not to be coarser.
+    Supports may give jumps. A start of second order is first order on the same mesh, if that may
+    not be coarser.
     """
     if AT_FIRST[0] in overrides:
         monkeypatch.setattr(models, "COARSER", 1e3)
@@ -73,7 +73,7 @@ def test_coarse_start_changes_iterations_but_not_results(
 
 
 def test_coarse_start_is_reused_by_the_companion(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A companion of the cheaper model's mesh goes on from its states, to its tolerance."""
+    """A companion on the mesh of the cheaper model continues from its states, to its tolerance."""
     always(monkeypatch)
     monkeypatch.setattr(models, "TOLERANCE", 1e-2)
     model, _ = go()
@@ -101,7 +101,7 @@ def test_coarse_start_is_reused_by_the_companion(monkeypatch: pytest.MonkeyPatch
 
 
 def test_coarse_start_only_for_large_models_with_contact(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither small nor bonded ones."""
+    """Small models and bonded ones start from rest."""
     bonded = "interfaces={stem_cement: {kind: bonded}, cement_bone: {kind: bonded}}"
     tied, small = (
         Model(support.case(STEM, *o), MPI.COMM_WORLD, {}, Timing(), str) for o in ((bonded,), ())
@@ -138,7 +138,7 @@ def test_coarse_start_cheaper_models(
 def test_coarse_start_failure_is_ignored(
     error: MantleError, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A run that is to stop stops; nothing else that happens to the coarse one matters."""
+    """A signal stops the run. No other error of the coarse model matters."""
 
     def fail(self: Model, case: object) -> None:
         raise error
@@ -156,7 +156,7 @@ def test_coarse_start_failure_is_ignored(
 
 
 def test_coarse_start_interpolation_is_exact_for_linear_jumps() -> None:
-    """On a plane interface, between meshes of which neither contains the other."""
+    """The interface is plane. Neither of the meshes contains the other."""
     coarse, fine = (
         support.assemble(support.case(BLOCKS.replace("SIZE", size)))[0].contact
         for size in ("3.1", "1.3")
@@ -169,14 +169,14 @@ def test_coarse_start_interpolation_is_exact_for_linear_jumps() -> None:
 
 
 def test_coarse_start_between_two_states() -> None:
-    """A fine step that was cut asks for a time that the coarse model has passed."""
+    """A fine step that was cut needs a time that the coarse model has passed."""
     known = [(1.0, np.zeros((2, 3))), (2.0, np.ones((2, 3)))]
     assert coarse_start.interpolate_in_time(known, 1.25) == pytest.approx(np.full((2, 3), 0.25))
     assert coarse_start.interpolate_in_time(known, 2.0) == pytest.approx(np.ones((2, 3)))
 
 
 def test_coarse_start_nearest_point_of_a_triangle() -> None:
-    """No point of a fine grid on any of the triangles is nearer, beside a corner or an edge too."""
+    """No point of a fine grid on any triangle is nearer, also next to corners and edges."""
     random = np.random.default_rng(1)
     corners, x = random.normal(size=(5, 3, 3)), 2 * random.normal(size=(200, 3))
     triangle, weights = nearest(x, corners)

@@ -48,7 +48,7 @@ ONE_WAY = f"{INTERFACE}={{{CONTACT}, conductance: 500 W/(m^2 K)}}"
 def test_coupled_system_taylor_remainder_is_of_second_order(
     monkeypatch: pytest.MonkeyPatch, overrides: list[str]
 ) -> None:
-    """Of every block, off a solution with points that are open, stick and slip."""
+    """All blocks are tested, off a solution with points that are open, stick and slip."""
     c = coupled.solve(monkeypatch, *overrides)
     solver, problem = c.solver, c.model.mechanical_path.problem
     operators, j = c.model.thermal.operators, problem.contact
@@ -111,7 +111,7 @@ def test_coupled_system_taylor_remainder_is_of_second_order(
 def test_coupled_system_equals_one_way_coupling(
     monkeypatch: pytest.MonkeyPatch, method: str
 ) -> None:
-    """Mechanics that follow the heat, step by step, and the same in one system with it."""
+    """Mechanics that follow the heat step by step equal one system of both."""
     steps = (f"time.method={method}", "time.mechanical_step=1000 K")
     one = coupled.solve(monkeypatch, *steps, ONE_WAY)
     assert not one.model.scene.coupled
@@ -130,7 +130,7 @@ def test_coupled_system_equals_one_way_coupling(
 def test_coupled_system_friction_heat_equals_dissipation(
     monkeypatch: pytest.MonkeyPatch, overrides: list[str], method: str
 ) -> None:
-    """Step by step, to the tolerance of the equations; the balance closes."""
+    """The equality holds step by step, to the tolerance of the equations. The balance closes."""
     c = coupled.solve(monkeypatch, *overrides, f"time.method={method}", "solver.tolerance=1e-12")
     before = c.before
     for accepted, dissipated in zip(c.steps, c.dissipated, strict=True):
@@ -154,7 +154,7 @@ TOGETHER = (
 
 
 def together(monkeypatch: pytest.MonkeyPatch, steps: int, *overrides: str) -> coupled.Coupled:
-    """Solve that in equal steps."""
+    """Solve the coupled case in equal steps."""
     stage = f"stages=[{{name: slide, duration: 2 s, increments: {steps}, adaptive: false}}]"
     return coupled.solve(monkeypatch, *TOGETHER, stage, "solver.tolerance=1e-12", *overrides)
 
@@ -163,7 +163,10 @@ def together(monkeypatch: pytest.MonkeyPatch, steps: int, *overrides: str) -> co
 def test_coupled_system_friction_heat_of_growing_force_and_slip(
     monkeypatch: pytest.MonkeyPatch, method: str
 ) -> None:
-    """Force F t, slip s t, t from 0 to 1: n implicit steps give F s (n + 1)/(2 n), of order 1."""
+    """Force F t and slip s t grow from t = 0 to 1.
+
+    With n implicit steps the heat is F s (n + 1)/(2 n), of order 1.
+    """
     counts, heats = (1, 2, 4, 8), []
     for n in counts:
         c = together(monkeypatch, n, f"time.method={method}")
@@ -180,7 +183,10 @@ def test_coupled_system_friction_heat_of_growing_force_and_slip(
 def test_coupled_system_penalty_stretch_is_no_heat(
     monkeypatch: pytest.MonkeyPatch, method: str
 ) -> None:
-    """Stuck by penalty: n increments would give A τ s (n + 1)/(2 n)."""
+    """A penalty holds the points, so there is no heat of friction.
+
+    Its stretch taken for slip would give A τ s (n + 1)/(2 n) in n increments.
+    """
     law = PENALTY.replace("friction_coefficient: 0.3", "friction_coefficient: 5")
     little = "supports.slide={kind: displacement, boundary: top, x: 0.003 mm, y: 0 mm}"
     c = together(monkeypatch, 2, f"time.method={method}", law, little)
@@ -195,7 +201,10 @@ def test_coupled_system_penalty_stretch_is_no_heat(
 def test_coupled_system_insulated_bodies_keep_friction_heat(
     monkeypatch: pytest.MonkeyPatch, perfect: bool
 ) -> None:
-    """Nothing else warms bodies of one temperature that nothing cools; each side has its share."""
+    """The bodies have one temperature and no cooling, so friction alone warms them.
+
+    Each side has its share.
+    """
     share = 0.3
     law = "" if perfect else "conductance: 0 W/(m^2 K), "
     c = coupled.solve(
@@ -223,7 +232,7 @@ def test_coupled_system_insulated_bodies_keep_friction_heat(
 def test_coupled_system_cured_cement_equals_an_elastic_solid(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Cement that has set already deforms as any solid: the same state by either law."""
+    """Cement that has set already deforms like any solid, so both laws give the same state."""
     law = f"{INTERFACE}={{{CONTACT}, conductance: 500 W/(m^2 K), friction_heating: 0.3}}"
     rigid = "regions.lower.thermal.thermal_expansion=null"
     one_sided = (rigid, law, "heat.wall.temperature=60 degC", "time.mechanical_step=1000 K")
@@ -240,9 +249,9 @@ def test_coupled_system_cured_cement_equals_an_elastic_solid(
 
 
 def test_coupled_system_setting_cement_is_one_step_behind(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Stiffness and free strain of the step come after its heat: what that misses is of order 1.
+    """Stiffness and free strain of a step follow its heat, with an error of order 1.
 
-    In the motion, and in the heat of friction over what friction dissipates.
+    The error is in the motion, and in the heat of friction over its dissipation.
     """
     kinetics = "{kind: prescribed, rate: [[0 s, 1], [3 s, 1]]}"
     cement = (

@@ -23,7 +23,7 @@ stages: [{name: pull, increments: 4}]
 
 
 def test_energy_control_follows_the_snap_back_of_a_bar(tmp_path: Path) -> None:
-    """The end goes back by N L/E less the end of softening; two iterations a step follow it."""
+    """The end returns by N L/E less the end of softening. Each step takes two iterations."""
     # With condensed bodies a step takes one iteration at least.
     support.run(BAR, tmp_path, "solver.linear=direct")
     run = Run(tmp_path / "out")
@@ -39,7 +39,7 @@ def test_energy_control_follows_the_snap_back_of_a_bar(tmp_path: Path) -> None:
 
 
 def test_energy_control_with_exponential_softening_and_unbonded_share(tmp_path: Path) -> None:
-    """The load step before needs little augmentation, which would close what opens."""
+    """The preceding load step needs little augmentation, which would close an opening."""
     law = ("softening=exponential", "unbonded=30 %")
     support.run(BAR, tmp_path, *(f"interfaces.lower_upper.{change}" for change in law))
     used = np.asarray(Run(tmp_path / "out").step_record["lower_upper dissipation [N mm]"])
@@ -105,7 +105,7 @@ class OwnCohesion(Traction):
     "pull", ["x: 0 mm, y: 0 mm, z: 0.03 mm", "x: 0.03 mm, y: 0 mm, z: 0.01 mm"]
 )
 def test_energy_control_of_a_law_from_outside(tmp_path: Path, pull: str) -> None:
-    """Tension, and shear with it: tractions, jumps and energies of every step."""
+    """Tension alone and with shear has equal tractions, jumps and energies in every step."""
     text = BAR.replace("4 mm, 20 mm", "4 mm, 4 mm").replace("2 GPa", "20 GPa")
     text = text.replace("x: 0 mm, y: 0 mm, z: 0.4 mm", pull)
     text = text.replace("increments: 10", "increments: 20")
@@ -135,7 +135,10 @@ def test_energy_control_refuses_values_at_points(tmp_path: Path, change: str, wo
 
 
 def test_energy_control_is_advised_beyond_the_peak() -> None:
-    """Torn by more than its strength, the advice is to control the energy; below it is borne."""
+    """A load above the strength of the bond causes the advice to control the energy.
+
+    The bond bears a load below it.
+    """
     text = BAR[: BAR.index("supports:")] + FORCED
     size = [f"geometry.blocks.{k}.size=[4 mm, 4 mm, 2 mm]" for k in (0, 1)]
     strength = 16 * 10.0

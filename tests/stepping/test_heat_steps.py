@@ -1,4 +1,4 @@
-"""Time steps of heat through a stage: equal ones, ones by their error, one to a steady state."""
+"""Time steps of heat through a stage: equal, by their error, or one to a steady state."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SOLVED = NewtonResult(True, 1, 0, (1e-9,), (0,), linear_failed=False)
 
 @dataclass
 class StandIn:
-    """Heat whose step has the error (length / largest)² over its tolerance, or is not solved.
+    """Heat with a step error of (length / largest)² over its tolerance, or without a solution.
 
     Attributes:
         largest: Step whose error is the tolerance [s].
@@ -70,13 +70,13 @@ class StandIn:
         return SimpleNamespace(outcome=SOLVED, error=solution.error)
 
     def solve_steady(self) -> Any:
-        """A steady state that is not found."""
+        """A steady state without a solution."""
         return None
 
 
 @dataclass
 class Followers:
-    """Mechanics that only record when they follow."""
+    """Mechanics that only record the times at which they follow."""
 
     ends: list[tuple[float, bool]] = field(default_factory=list)
 
@@ -170,7 +170,10 @@ stages:
 def test_heat_steps_of_equal_length_do_not_cross_kinks(
     monkeypatch: pytest.MonkeyPatch, method: str
 ) -> None:
-    """A clock that jumps between the ends of 60 s steps: it releases all its heat, and no more."""
+    """A prescribed rate jumps between the ends of 60 s steps.
+
+    It releases all its heat, and no more.
+    """
     run = coupled.solve(monkeypatch, f"time.method={method}", text=CLOCK)
     assert [s.seconds for s in run.steps] == [60, 70, 120, 180, 240, 250, 300, 360, 370, 420]
     released = sum(s.heats["cure cube"] for s in run.steps)
@@ -184,7 +187,7 @@ def test_heat_steps_of_equal_length_do_not_cross_kinks(
 
 @pytest.mark.parametrize(("start", "state"), [(37, 0), (50, 1), (60, 2)])
 def test_heat_steps_note_unstable_steady_states(start: float, state: int, tmp_path: Path) -> None:
-    """Heated walls (Barber, Dundurs and Comninou, 1980): open, closed, and one between them."""
+    """Heated walls (Barber, Dundurs and Comninou, 1980) are open, closed, or between."""
     changes = (
         "stages=[{name: gap}, {name: rest, steady: true}]",
         f"regions.cement.thermal.initial_temperature={start} degC",

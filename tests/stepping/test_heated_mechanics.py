@@ -146,7 +146,7 @@ def solved_after(heat: Heat, load: Load) -> SolvedAfterHeat:
 def test_heated_mechanics_number_of_steps(
     limit: float, warming: float, cure_change: float, steps: int
 ) -> None:
-    """Steps change the temperature, or the adiabatic rise by cure, by the limit at most."""
+    """A step changes the temperature, or the adiabatic rise by cure, at most by the limit."""
     heat, load = Heat(0.0, limit), Load()
     mechanics = solved_after(heat, load)
     heat.T[0, 7] += warming
@@ -156,7 +156,7 @@ def test_heated_mechanics_number_of_steps(
 
 
 def test_heated_mechanics_load_is_linear_between_states() -> None:
-    """T = T_0 + s ΔT and a = a_0 + s Δa at times t = s t_1, separately for each body."""
+    """Each body has the load T = T_0 + s ΔT and a = a_0 + s Δa at times t = s t_1."""
     heat, load = Heat(0.1), Load()
     mechanics = solved_after(heat, load)
     stem_rise, cement_rise = np.linspace(0.0, 40.0, 8), np.linspace(5.0, -10.0, 8)
@@ -173,10 +173,10 @@ def test_heated_mechanics_load_is_linear_between_states() -> None:
 
 
 def test_heated_mechanics_free_strain_grows_from_gelation_on() -> None:
-    """e = α_T (T - T_gel) - S/3 at full cure; zero before gelation, then linear in the step.
+    """At full cure e = α_T (T - T_gel) - S/3.
 
-    The degree of cure grows from 0 to 1, so that the cement gels in the middle of the step at the
-    mean temperature.
+    The strain is zero before gelation, then linear in the step. The degree of cure grows from 0 to
+    1, so the cement gels in the middle of the step at the mean temperature.
     """
     heat, load = Heat(0.0, mechanical_step=15.0), Load()
     mechanics = solved_after(heat, load)
@@ -191,7 +191,7 @@ def test_heated_mechanics_free_strain_grows_from_gelation_on() -> None:
 
 
 def test_heated_mechanics_free_strain_adds_up_without_solves() -> None:
-    """e = α_T ΔT - S/3 Δa / (1 - a_gel) of a solid, over heat steps too small for a solve."""
+    """Heat steps too small for a solve add up to e = α_T ΔT - S/3 Δa / (1 - a_gel) of a solid."""
     heat, load = Heat(0.6, mechanical_step=1e3), Load()
     mechanics = solved_after(heat, load)
     for n, (warming, cure_change) in enumerate([(10.0, 0.1), (30.0, 0.0), (-15.0, 0.3)]):
@@ -339,7 +339,7 @@ def pressure(summary: Any) -> float:
 
 
 def test_heated_mechanics_pressure_of_shrinking_cement(tmp_path: Path) -> None:
-    """The pressure of the set ring times the mean of its modulus since gelation."""
+    """The pressure is that of the set ring times the mean of its modulus since gelation."""
     exact = pressure(solve(tmp_path, *SHRUNK)) * (FLOOR + (1 - FLOOR) / (POWER + 1))
     errors = []
     for step in (10, 2.5):
@@ -352,7 +352,7 @@ def test_heated_mechanics_pressure_of_shrinking_cement(tmp_path: Path) -> None:
 
 
 def test_heated_mechanics_heat_balance_with_rounding(tmp_path: Path) -> None:
-    """A cure that begins at 0 begins with a step of 1e-7 s, which warms by 1e-8 K."""
+    """A cure that begins at 0 has a first step of 1e-7 s, which warms by 1e-8 K."""
     alone = ("interfaces.stem_cement.conductance=0 W/(m^2 K)", "stages.0.duration=1 s")
     summary = support.run(RING, tmp_path, *SET, *alone).summary
     assert summary["balance"]["heat"] < 1e-7

@@ -9,7 +9,7 @@ FORM = "libffcx_forms_" + "0" * 40
 
 
 def write_form(folder: Path, mark: str = "") -> Path:
-    """A module as a compiler leaves it."""
+    """A module in the form that the compiler writes."""
     module = folder / f"{FORM}{EXTENSION_SUFFIXES[0]}"
     folder.mkdir(parents=True, exist_ok=True)
     for path, text in ((module, "code"), (module.parent / f"{FORM}.c", "source")):

@@ -1,4 +1,4 @@
-"""A folder of caches of its test alone."""
+"""A folder of caches for one test alone."""
 
 from __future__ import annotations
 

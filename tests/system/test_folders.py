@@ -14,7 +14,7 @@ from tests.system.caches import FORM, write_form
 
 
 def test_folders_of_caches_are_private_to_their_user(home: Path) -> None:
-    """Whatever the umask, and also where they were there before."""
+    """Folders are private for any umask, and existing folders become private."""
     (home / "mantle" / "meshes").mkdir(parents=True, mode=0o777)
     before = os.umask(0)
     try:
@@ -48,7 +48,7 @@ def test_folders_of_caches_may_be_missing(home: Path) -> None:
 def test_folders_of_caches_copy_forms_of_an_image(
     home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """For a cache that is new, and for no other."""
+    """Forms are copied to a new cache, and to no other."""
     monkeypatch.setattr(folders, "SEED", home.parent / "seed")
     write_form(folders.SEED / "fenics")
     assert not folders.settle_cache() and form_cache.usable(home / "fenics", FORM)

@@ -1,6 +1,6 @@
 """References of the verification suite, against other formulas and their equations.
 
-Displacement fields are differentiated numerically: nothing of their derivation is used twice.
+Displacement fields are differentiated numerically, so no step of their derivation is used twice.
 """
 
 from __future__ import annotations
@@ -115,7 +115,10 @@ def test_closed_forms_compliance_of_a_fibrous_material() -> None:
     ("u", "case"), [(flamant, "hertz_line.yaml"), (boussinesq, "hertz_ball.yaml")]
 )
 def test_closed_forms_far_fields_of_a_half_space(u: Callable, case: str) -> None:
-    """Equilibrium, no traction on z = 0, the load below; the case prescribes the same field."""
+    """The fields have equilibrium, no traction on z = 0, and the load below.
+
+    The case prescribes the same field.
+    """
 
     def field(x: np.ndarray) -> np.ndarray:
         return u(x, 100.0, CEMENT)
@@ -144,7 +147,7 @@ def test_closed_forms_far_fields_of_a_half_space(u: Callable, case: str) -> None
 
 
 def test_closed_forms_foundation_bar() -> None:
-    """Physics reference 5.5, and the work that the end does in a cycle."""
+    """Physics reference 5.5 gives the values, and the work of the end in a cycle."""
     bar = exact.FoundationBar(500, 6, 1.1e6)
     assert (bar.end, bar.residual, bar.cycle) == pytest.approx(
         (0.01893939, 0.00946970, 1.578283), rel=1e-6
@@ -198,7 +201,10 @@ def test_closed_forms_reference_values(
 
 
 def test_closed_forms_cantilever_bar_has_known_limits() -> None:
-    """Torsion of a square and a strip (Timoshenko and Goodier, section 109); bending by hand."""
+    """Torsion is that of a square and a strip (Timoshenko and Goodier, section 109).
+
+    Bending is by hand.
+    """
     square, strip = exact.CantileverBar(1.0, 2.0, 2.0, 10.0), exact.CantileverBar(1.0, 100, 1, 10)
     assert square.torsion_constant() == pytest.approx(0.1406 * 2**4, rel=1e-3)
     assert strip.torsion_constant() == pytest.approx(100 / 3, rel=1e-2)
@@ -210,7 +216,7 @@ def test_closed_forms_cantilever_bar_has_known_limits() -> None:
 
 
 def test_closed_forms_press_out_moves_the_inner_surface_by_a_change_of_shear() -> None:
-    """The radial equation of a ring in plane stress, solved by finite differences."""
+    """Finite differences solve the radial equation of a ring in plane stress."""
     r, R, ν, n = 7.0, 17.0, 0.3, 1001
     x = np.linspace(r, R, n)
     h = x[1] - x[0]

@@ -1,4 +1,4 @@
-"""The closed forms of creep against equations integrated here, by rates and in another way."""
+"""The closed forms of creep against their equations, integrated here by rates."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ M1 = creep.CEMENT[3]
 
 
 def test_closed_forms_creep_laws_have_published_values() -> None:
-    """Computed by hand in the notes on clinical data, 1e4, 2.5e5 and 1e6 cycles."""
+    """Values are by hand in the notes on clinical data, for 1e4, 2.5e5 and 1e6 cycles."""
     for s, values in ((3, (1.7, 5.4, 8.9)), (5, (3.6, 10.4, 16.5)), (7, (5.8, 16.0, 24.7))):
         strains = [1e4 * creep.strain(creep.CEMENT, s, N) for N in (1e4, 2.5e5, 1e6)]
         assert strains == pytest.approx(values, abs=0.06)
@@ -26,7 +26,7 @@ def test_closed_forms_creep_laws_have_published_values() -> None:
 
 @pytest.mark.parametrize("law", [creep.CEMENT, creep.NORTON])
 def test_closed_forms_creep_relaxation_of_a_held_bar(law: creep.Law) -> None:
-    """By ds/dN = -E de/dN; Norton's in closed form too."""
+    """The rate equation is ds/dN = -E de/dN. Norton's law also has a closed form."""
     a, p, m0, m1 = law
     s0, end = 10.0, 1e6 if law is creep.CEMENT else 100.0
 
@@ -53,7 +53,7 @@ def test_closed_forms_creep_shrink_fit_limits() -> None:
 
 
 def test_closed_forms_creep_taper_subsides_as_rings_widen() -> None:
-    """Rings of quadratic elements in plane strain under 3 MPa, their rates integrated."""
+    """Rings of quadratic elements are in plane strain under 3 MPa. Their rates are integrated."""
     nodes = np.concatenate([np.linspace(6, 10, 41), np.linspace(10, 15, 21)[1:]])
     dofs = np.array([[k, k + 1, k + 2] for k in range(0, len(nodes) - 1, 2)]).repeat(2, axis=0)
     ξ = np.tile([-1, 1] / np.sqrt(3), len(dofs) // 2)
@@ -82,7 +82,7 @@ def test_closed_forms_creep_taper_subsides_as_rings_widen() -> None:
         return u, σ - σ.mean(axis=1, keepdims=True)
 
     def flow(s: np.ndarray, e: np.ndarray, N: float | None) -> np.ndarray:
-        """Rate of equivalent strain and strains, or what they are after N at this stress."""
+        """Rate of equivalent strain and strains, or their values after N at this stress."""
         size = np.sqrt(1.5 * (s**2).sum(axis=1))
         m = M0 + M1 * np.log10(size)
         a = A * size**P

@@ -1,4 +1,4 @@
-"""The references of large slip, computed here in another way."""
+"""The references of large slip, computed by another method."""
 
 from __future__ import annotations
 

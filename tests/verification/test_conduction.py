@@ -100,12 +100,12 @@ class Solved(HeatState):
         return self._flows_of_stages[-1]
 
     def steady(self) -> Solved:
-        """Go to the steady state."""
+        """Solve for the steady state."""
         assert self.solve_steady() is not None
         return self
 
     def advance(self, dt: float, method: str = "sdirk4") -> float:
-        """A time step; heat that came in, by the integrator's sum [N mm]."""
+        """Make a time step; return the entered heat by the integrator's sum [N mm]."""
         self.method = METHODS[method]
         attempt = self.attempt(dt)
         assert attempt is not None
@@ -127,7 +127,7 @@ class Solved(HeatState):
 
 
 def test_conduction_of_a_bar_with_convection() -> None:
-    """q = (T0 - Ta)/(L/k + 1/a), exact; more so on cells that are quadratic but straight."""
+    """The flux is (T0 - Ta)/(L/k + 1/a), exact on straight cells and on quadratic ones."""
     heat: list[HeatCondition] = [
         fixed("hot", "bottom", 80.0),
         laws.convection("air", "top", 0.025, ZERO + 20.0),
@@ -146,7 +146,7 @@ def test_conduction_of_a_bar_with_convection() -> None:
 
 @pytest.mark.parametrize("h", [300.0, 1e9])
 def test_conduction_with_prescribed_region(h: float) -> None:
-    """Cement held at 100 throughout: the bone sees it through the conductance alone."""
+    """Cement stays at 100 everywhere, so only the conductance is between it and the bone."""
     heat: list[HeatCondition] = [
         laws.temperature("cement", ZERO + 100.0, regions=("cement",)),
         fixed("cold", "top", 37.0),
@@ -160,7 +160,10 @@ def test_conduction_with_prescribed_region(h: float) -> None:
 
 
 def test_conduction_jump_where_both_sides_are_prescribed() -> None:
-    """Where given temperatures hold both sides the jump is theirs; what they pass is counted."""
+    """If both temperatures are prescribed, the jump is their difference.
+
+    The balance counts its heat.
+    """
     heat = [fixed("warm", "cement_x_min", 60.0), fixed("cool", "bone_x_min", 40.0)]
     s = Solved(scene([CEMENT, BONE], heat, contact(300.0)), stack(1.0, *CEMENT_ON_BONE)).steady()
     j = s.operators.jumps
@@ -204,7 +207,7 @@ def test_conduction_steady_state_needs_a_prescribed_temperature() -> None:
 @pytest.mark.parametrize("h", [0.0, 300.0, 1e9, PERFECT])
 @pytest.mark.parametrize("dt", [1e-3, 1.0, 3600.0])
 def test_conduction_between_bodies_conserves_heat(h: float, dt: float) -> None:
-    """Without exchange the heat at the start, by volumes, stays."""
+    """Without exchange the heat at the start, by volumes, stays constant."""
     s = Solved(scene([CEMENT, BONE], (), contact(h)), stack(1.5, *CEMENT_ON_BONE), 1e-10)
     reference = (100.0 + 37.0) / 2
     start = 20 * (1.752 * (100.0 - reference) + 2.52 * (37.0 - reference))
@@ -257,7 +260,7 @@ def test_conduction_balance_closes_with_all_conditions(h: float, method: str) ->
 
 
 def curing(h: float) -> Scene:
-    """Cement that sets beside bone, nothing else."""
+    """Cement that sets next to bone, without other heat."""
     cement = conductor("cement", 0.2, 75.0, 1.752)
     cure = laws.cure("cement", laws.BALIGA, 0.05)
     return replace(scene([cement, BONE], (), contact(h)), cures=(cure,))
@@ -284,7 +287,7 @@ def test_conduction_heat_of_cure_equals_cured_mass(h: float) -> None:
 
 
 def test_conduction_jacobian_is_the_derivative() -> None:
-    """Taylor test with conductance that depends on pressure, and cure."""
+    """A Taylor test has conductance that depends on pressure, and cure."""
     rng = np.random.default_rng(1)
     law = laws.interface("cement_bone", ("bone",), ("cement",), (0.05, 0.1, 0.4))
     terms = replace(curing(PERFECT), thermal_contacts=(law,))
@@ -330,7 +333,7 @@ def test_conduction_jacobian_is_the_derivative() -> None:
 
 @pytest.mark.parametrize("side", ["bone", "cement"])
 def test_conduction_prescribed_temperature_leaves_the_other_side_free(side: str) -> None:
-    """At the start, where it meets an interface of finite conductance."""
+    """The interface has finite conductance, and the temperature acts at the start."""
     s = Solved(
         scene([CEMENT, BONE], [fixed("wall", f"{side}_x_min", 60.0)], contact(300.0)),
         stack(1.5, *CEMENT_ON_BONE),
@@ -353,7 +356,10 @@ def cylinders() -> TaggedMesh:
 @pytest.mark.parametrize("dt", [1e-3, 0.05, 1.0, 10.0, 3600.0])
 @pytest.mark.parametrize("h", [300.0, PERFECT])
 def test_conduction_obeys_the_maximum_principle(h: float, dt: float) -> None:
-    """Cement at 100 degC between stem and bone at 37: to 1e-9 of the range, nothing lost."""
+    """Cement at 100 degC is between stem and bone at 37.
+
+    Bounds hold to 1e-9 of the range, and no heat is lost.
+    """
     stem = conductor("stem", 14.8, 37.0, 3.735)
     contacts = () if h == PERFECT else (
         laws.interface("stem_cement", ("stem",), ("cement",), (h * 1e-3, 0.0, np.inf)),
@@ -416,7 +422,7 @@ def test_conduction_equal_steps_share_factors(h: float) -> None:
 
 @BOTH
 def test_conduction_old_factors_are_reused_while_cheaper(h: float) -> None:
-    """Steps a little longer each: less than asks for new factors at once."""
+    """Each step is a little longer than the last, but too little for new factors."""
     s, factors = heated(h)
     other, fresh = heated(h)
     made, solves = 0, 0

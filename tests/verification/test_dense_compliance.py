@@ -1,7 +1,7 @@
-"""The ball in its cup, solved once more by dense compliance: other unknowns, matrix and Newton.
+"""The ball in its cup, solved by dense compliance: other unknowns, matrix and Newton method.
 
-The liner alone gives the displacement of its surface by the forces on it, u = S f. With them the
-place of the ball and the law at each point are 3 n + 3 equations in f and the ball's way t.
+The liner alone gives the displacement u = S f of its surface by the forces on it. With the place of
+the ball, the law at each point gives 3 n + 3 equations in f and the ball's displacement t.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def law(f: Floats, q: Floats, x: Floats, old: Floats, turn: Floats) -> Floats:
 
 
 def step(S: Floats, x: Floats, load: Floats, old: Floats, turn: Floats, start: Floats) -> Floats:
-    """Forces of the points and way of the ball (3 n + 3,) after a step, by Newton."""
+    """Forces of the points and displacement of the ball (3 n + 3,) after a step, by Newton."""
     n, z = len(x), start.copy()
     flat = S.reshape(3 * n, 3 * n)
     ball = np.tile(np.eye(3), (n, 1))
@@ -82,7 +82,10 @@ def step(S: Floats, x: Floats, load: Floats, old: Floats, turn: Floats, start: F
 
 
 def test_dense_compliance_gives_equal_forces_of_sliding(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pressed, then turned by 5 degrees twice: every normal force to 1e-7 of the largest."""
+    """The ball is pressed, then turned by 5 degrees twice.
+
+    Normal forces agree to 1e-7 of the largest.
+    """
     monkeypatch.setattr(contact, "PAIRING_ACCURACY", 1e-12)
     steps = solve(turning((0, 0, 0), (0, 10, 0)), stages(2))[-3:]
     S, x = compliance()

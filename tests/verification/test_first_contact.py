@@ -1,4 +1,4 @@
-"""Regions of different temperature in perfect contact: what is reported from the first instant."""
+"""Regions of different temperature in perfect contact, from the first instant."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SIZES = (1.0, 0.5, 0.25)
 
 @cache
 def half_spaces(size: float, *overrides: str) -> coupled.Coupled:
-    """Cement of 100 degC on bone of 37, on cells of one size [mm]."""
+    """Cement of 100 degC on bone of 37 degC, on cells of one size [mm]."""
     blocks = [f"geometry.blocks.{k}.size=[{size} mm, {size} mm, 8 mm]" for k in (0, 1)]
     mesh = [f"mesh.{key}={size} mm" for key in ("size", "far_size")]
     bone = "regions.bone.tissue=bone"
@@ -29,15 +29,16 @@ def half_spaces(size: float, *overrides: str) -> coupled.Coupled:
 
 
 def interface(run: coupled.Coupled) -> np.ndarray:
-    """Hottest temperatures of the bone [degC], which are those of its interface."""
+    """Hottest temperatures of the bone [degC], at its interface."""
     return np.array([row["bone temperature_max [degC]"] for row in run.rows])
 
 
 @pytest.mark.parametrize("h", SIZES)
 def test_first_contact_has_half_space_temperature(h: float) -> None:
-    """At every step; what is left goes with the mesh. It began at 63.9 degC instead of 58.2.
+    """The error at every step falls with the mesh.
 
-    Time above 56 degC is all there is, CEM43 R^(43 - T) of it.
+    Before, the temperature began at 63.9 degC instead of 58.2. The time above 56 degC is the whole
+    time, and CEM43 is R^(43 - T) of it.
     """
     T = interface(half_spaces(h))
     assert np.abs(T - SPACES.contact).max() < 0.1
@@ -50,14 +51,14 @@ def test_first_contact_has_half_space_temperature(h: float) -> None:
 
 
 def test_first_contact_converges_in_time() -> None:
-    """The hottest bone over tolerances of a step: error of the largest temperature ever."""
+    """The error is that of the largest temperature of the bone, over tolerances of a step."""
     for tolerance in (1.0, 0.1, 0.01):
         T = interface(half_spaces(0.5, f"time.tolerance={tolerance} K"))
         assert T.max() == pytest.approx(SPACES.contact, abs=0.1), tolerance
 
 
 def test_first_contact_equal_steps_converge_at_first_order() -> None:
-    """Backward Euler: mean temperature of the bone, which is the heat that has come over."""
+    """Backward Euler is used. The mean temperature of the bone is the transferred heat."""
     e = np.sqrt(0.2 * 1.2e-6 * 1.45e6)
     came = e * (100.0 - SPACES.contact) * 2 * np.sqrt(SECONDS / np.pi)
     exact = 37.0 + came / (1.85e-6 * 1.26e6 * 8.0)
@@ -76,7 +77,7 @@ def test_first_contact_equal_steps_converge_at_first_order() -> None:
 
 
 def test_first_contact_does_not_change_a_steady_state() -> None:
-    """However short the times of the cells: it is linear between given temperatures."""
+    """The temperature is linear between given temperatures, for cells with any time constant."""
     ends = "heat={hot: {kind: temperature, boundary: bottom, temperature: 100 degC}, cold: "
     ends += "{kind: temperature, boundary: top, temperature: 37 degC}}"
     run = half_spaces(1.0, ends, "stages=[{name: rest, steady: true}]")

@@ -1,4 +1,4 @@
-"""A Young's modulus that varies over the height: a bar with a closed form, and equal values."""
+"""A Young's modulus that varies over the height: a closed form, and equal constant values."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from tests.cases.blocks import PULLED, bar
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_graded_modulus_elongation_of_a_bar(order: int) -> None:
-    """By the integral of s / E, s (z1 - z0) / (E1 - E0) ln(E1 / E0) where E is linear.
+    """The integral of s / E is s (z1 - z0) / (E1 - E0) ln(E1 / E0) if E is linear.
 
-    The error of the work is of twice the order of the displacement.
+    The error of the work has twice the order of that of the displacement.
     """
     exact, errors = 10 * (2 / 100 + 6 / 900 * np.log(10) + 2 / 1000), []
     for layers in (20, 40):
@@ -34,7 +34,7 @@ def test_graded_modulus_elongation_of_a_bar(order: int) -> None:
 
 
 def test_graded_modulus_equal_values_are_a_constant() -> None:
-    """In contact, at the second order: to the rounding of the solutions."""
+    """The case has contact at second order. Results agree to rounding."""
     even = "regions.bone.youngs_modulus=[[0 mm, 17 GPa], [10 mm, 17 GPa], [15 mm, 17 GPa]]"
     more = ("mesh.order=2", "mesh.curved=false", "solver.tolerance=1e-13")
     both = [support.solve(support.STEM, *more, *change) for change in ((even,), ())]

@@ -40,7 +40,7 @@ from tests.cases.meeting_blocks import (
 
 
 def check_uniform(solved: support.Solved, data: MeshData) -> None:
-    """Each point has the pressure of uniaxial strain, each interface its whole area."""
+    """Each point has the pressure of uniaxial strain, and each interface its whole area."""
     s = solved.last
     assert solved.problem.contact is not None
     surface = solved.problem.contact.points.surface
@@ -113,7 +113,7 @@ def test_interfaces_that_meet_transmit_uniform_pressure(
 def test_interfaces_that_meet_transmit_a_pressure_on_each_face(
     cells: Sequence[int], layout: str, skewed: bool, order: int, linear: str, tmp_path: Path
 ) -> None:
-    """Faces of an edge have different pressures if they are at a right angle, else the same."""
+    """Faces of an edge have different pressures at a right angle, otherwise equal ones."""
     blocks = EDGE if layout == "edge" else CORNER
     text = scene(tmp_path, blocks, contact(0.0), cells=cells, order=order)
     data = box(blocks, (4.0, 3.0, 4.0), cells)
@@ -145,7 +145,7 @@ BONDED = {"kind": "bonded"}
 
 
 def blocks_at_random(seed: int) -> tuple[dict[str, Any], tuple[int, int, int]]:
-    """Blocks of cells of 1 mm that are nearest to one of 2 to 5 cells, and the numbers of cells."""
+    """Blocks whose cells of 1 mm are nearest to one of 2 to 5 cells, and the numbers of cells."""
     rng = np.random.default_rng(seed)
     nx, ny, nz = rng.integers(2, 4, size=3).tolist()
     seeds = np.unique(rng.integers(0, [nx, ny, nz], size=(rng.integers(2, 6), 3)), axis=0)
@@ -163,7 +163,7 @@ def blocks_at_random(seed: int) -> tuple[dict[str, Any], tuple[int, int, int]]:
 def test_interfaces_that_meet_blocks_at_random_have_uniform_pressure_or_are_refused(
     seed: int, linear: str, tmp_path: Path
 ) -> None:
-    """Blocks of few cells under the same pressure on all sides; with friction if seeds are odd."""
+    """Blocks of few cells have the same pressure on all sides. Odd seeds have friction."""
     blocks, cells = blocks_at_random(seed)
     if len(blocks) == 1:
         pytest.skip("one block has no interface")
@@ -205,7 +205,7 @@ def test_interfaces_that_meet_transmit_uniform_pressure_with_different_laws(
 def test_interfaces_that_meet_transmit_uniform_pressure_with_cohesive_ones(
     order: int, tmp_path: Path
 ) -> None:
-    """Under the bars of a T cohesive layers close alike; its stem has contact."""
+    """Cohesive layers under the bars of a T close equally; its stem has contact."""
     text = scene(tmp_path, T, STRONG, order=order)
     text["interfaces"]["left_right"] = contact(0.35)
     numbers = support.solve(support.case(text)).last.numbers
@@ -222,7 +222,7 @@ def test_interfaces_that_meet_transmit_uniform_pressure_with_cohesive_ones(
 def test_interfaces_that_meet_bonded_tractions_next_to_contact(
     bonded: str, order: int, tmp_path: Path
 ) -> None:
-    """The bond of a T with contact has the tractions of uniaxial strain, at the line as well."""
+    """The bond of a T with contact has the tractions of uniaxial strain, also at the line."""
     text = scene(tmp_path, T, contact(0.35), order=order)
     for name in text["interfaces"] if bonded == "all" else [bonded]:
         text["interfaces"][name] = BONDED
@@ -246,7 +246,7 @@ def test_interfaces_that_meet_bonded_tractions_next_to_contact(
 def test_interfaces_that_meet_bonded_tractions_at_a_loaded_surface(
     springs: bool, tmp_path: Path
 ) -> None:
-    """Two bonded blocks are pressed between a load, and a support or springs: no shear."""
+    """Two bonded blocks are between a load and a support or springs. There is no shear."""
     text = scene(tmp_path, {"left": lambda x: x[:, 0] < 2, "right": lambda x: x[:, 0] > 2}, BONDED)
     if springs:
         text["supports"]["z0"] = {
@@ -263,7 +263,7 @@ def test_interfaces_that_meet_bonded_tractions_at_a_loaded_surface(
 
 
 def test_interfaces_that_meet_stem_of_a_t_depends_on_its_bars(tmp_path: Path) -> None:
-    """Whatever the order in the file, the jump of the stem follows from those of the bars."""
+    """The jump of the stem follows from those of the bars, for any order in the file."""
     dependent = []
     for turn in range(3):
         case = support.case(scene(tmp_path, T, contact(0.3), turn=turn))
@@ -276,7 +276,10 @@ def test_interfaces_that_meet_stem_of_a_t_depends_on_its_bars(tmp_path: Path) ->
 
 
 def test_interfaces_that_meet_are_independent_of_their_order(tmp_path: Path) -> None:
-    """A block pulled off its neighbours, which part: the same state in any order and naming."""
+    """A block is pulled off its neighbours, which part.
+
+    Any order and naming gives the same state.
+    """
     tables = []
     for turn in range(3):
         text = scene(tmp_path, LYING_T, contact(0.2), cells=(4, 2, 4), turn=turn)
@@ -294,7 +297,7 @@ def test_interfaces_that_meet_are_independent_of_their_order(tmp_path: Path) -> 
 
 
 def test_interfaces_that_meet_break_on_their_whole_area(tmp_path: Path) -> None:
-    """Bonded blocks under one that is pulled off them: the energy of both interfaces."""
+    """Bonded blocks are below one that is pulled off. The energy is that of both interfaces."""
     bond = {
         "kind": "cohesive",
         "friction_coefficient": 0,
@@ -339,7 +342,10 @@ stages: [{name: press}, {name: push, increments: 2}, {name: back, increments: 2}
 
 
 def test_interfaces_that_meet_have_friction_where_slip_is_prescribed() -> None:
-    """Forward and back all points slide: friction on the whole area, and energy in balance."""
+    """All points slide forward and back.
+
+    Friction acts on the whole area, and energy is in balance.
+    """
     solved = support.solve(HELD_AND_PUSHED, balances=True)
     whole = 0.25 * 4 * 36
     for step, sign in ((2, -1.0), (4, 1.0)):
@@ -350,7 +356,7 @@ def test_interfaces_that_meet_have_friction_where_slip_is_prescribed() -> None:
 
 
 def test_interfaces_that_meet_friction_with_two_prescribed_components() -> None:
-    """Pushed along the diagonal by both sides: the sum has the size of friction."""
+    """Both sides push along the diagonal. The sum has the size of friction."""
     other = "{kind: displacement, boundary: high_y_min, y: 0.09 mm, history: [0, 1, -1]}"
     solved = support.solve(
         HELD_AND_PUSHED,
@@ -387,7 +393,10 @@ def test_interfaces_that_meet_block_slides_on_several_blocks(layout: str, tmp_pa
 
 
 def test_interfaces_that_meet_body_is_free_next_to_held_bodies(tmp_path: Path) -> None:
-    """A block drawn along two whose ends are held: smooth, so nothing holds it at the line."""
+    """A block slides along two blocks with held ends.
+
+    Contact is frictionless, so the line does not hold it.
+    """
     text = scene(tmp_path, T, contact(0.0))
     del text["supports"]["y0"], text["supports"]["y1"]
     text["supports"]["ends"] = {"kind": "roller", "boundary": "low_y0", "axis": "y"}
@@ -407,7 +416,7 @@ def test_interfaces_that_meet_body_is_free_next_to_held_bodies(tmp_path: Path) -
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_interfaces_that_meet_block_on_rigid_floor_with_symmetry(order: int) -> None:
-    """The floor is held elsewhere: its vertices are held, too, and the block bears the pressure."""
+    """A support of the floor holds its vertices, too, and the block bears the pressure."""
     text = f"""
 geometry:
   kind: blocks
@@ -435,7 +444,7 @@ loads: {{press: {{kind: pressure, boundary: top, pressure: 1.7 MPa}}}}
 
 
 def test_interfaces_that_meet_refuse_two_free_rigid_regions_at_a_line(tmp_path: Path) -> None:
-    """Opposite blocks of a cross: only one rigid region can be the base of the others there."""
+    """Opposite blocks of a cross are rigid. Only one rigid region can be the base of the others."""
     text = scene(tmp_path, CROSS, contact(0.3), cells=(4, 2, 4))
     text["regions"]["a"] = text["regions"]["d"] = {"rigid": True, "tissue": "other"}
     with pytest.raises(InputError, match=r"two rigid regions .* meet a third body at \(2, "):

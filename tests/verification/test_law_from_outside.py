@@ -1,4 +1,4 @@
-"""A law, a load and quantities that another package adds, without touching a file."""
+"""A law of a user's package, without a change of the program."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.cases.outside import CASE, LAYER, run
 
 
 def test_law_from_outside_is_solved_and_written(tmp_path: Path) -> None:
-    """A layer in tension: the gap is σ/k, whatever the blocks do; from YAML to the fields."""
+    """A layer in tension has the gap σ/k for any blocks. The test goes from YAML to the fields."""
     summary, _ = run(tmp_path, LAYER, CASE)
     interface = summary["interfaces"]["lower_upper"]
     assert interface["gap_mean"] == pytest.approx(3 / 50, rel=1e-9)
@@ -28,7 +28,7 @@ def test_law_from_outside_is_solved_and_written(tmp_path: Path) -> None:
 
 
 def test_law_from_outside_constants_vary_in_space(tmp_path: Path) -> None:
-    """A rigid block on a bed of springs k = 50 (1 + x/8): its tilt by hand; refused where k < 0."""
+    """A rigid block on springs k = 50 (1 + x/8) has its tilt by hand. A negative k is refused."""
     rigid = "upper: {rigid: true, tissue: other}"
     case = CASE.replace("50 MPa/mm", "50 * (1 + x / 8)").replace("size: 2 mm", "size: 1 mm")
     case = case.replace("upper: {youngs_modulus: 1 GPa, poisson_ratio: 0, tissue: other}", rigid)
@@ -108,7 +108,10 @@ class WornLayer(Traction):
 
 
 def test_law_from_outside_keeps_internal_variables(tmp_path: Path) -> None:
-    """Loading gives d1 = σ1/(k - σ1/l), unloading to σ2 on the worn line d2 = σ2 (1 + d1/l)/k."""
+    """Loading gives d1 = σ1/(k - σ1/l).
+
+    Unloading to σ2 on the damaged line gives d2 = σ2 (1 + d1/l)/k.
+    """
     k, length, high, low = 50.0, 0.2, 3.0, 1.0
     case = CASE.replace("elastic_layer, stiffness", "worn_layer, length: 0.2 mm, stiffness")
     case = case.replace("-3 MPa}", "-3 MPa, history: [1, 0.3333333333333333]}")
@@ -189,7 +192,7 @@ solver: {tolerance: 1.0e-12}
 
 
 def test_law_from_outside_breaks_by_given_energy_then_has_friction(tmp_path: Path) -> None:
-    """Traction falls linearly with the energy used, G A in all; then friction μ p."""
+    """Traction falls linearly with the used energy, G A in all. Friction μ p remains."""
     summary, _ = run(tmp_path, GLUE, TORN)
     record = mantle.read(tmp_path / "out").step_record
     used = np.asarray(record["lower_upper dissipation [N mm]"])
@@ -262,7 +265,7 @@ class ContactLayer(InterfaceLaw):
 
 
 def test_law_from_outside_layer_equals_compliance(tmp_path: Path) -> None:
-    """Pressed, pushed until parts slip and open, and pushed back: the same numbers."""
+    """Blocks are pressed, pushed until parts slip and open, and pushed back, with equal numbers."""
     assert CONTACT_LAYER.count("\n") <= 60
     push = "{kind: displacement, boundary: top, x: 0.04 mm, y: 0 mm, history: [0, 1, -0.2]}"
     press = "{kind: displacement, boundary: top, z: -0.01 mm, history: [1, 1, 0.4]}"

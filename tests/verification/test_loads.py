@@ -30,7 +30,10 @@ def assembled(text: str, *overrides: str) -> Problem:
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_loads_force_at_a_point_has_resultant_and_moment(order: int) -> None:
-    """A linear traction over the patch: resultant F, no moment about the point it acts through."""
+    """A linear traction over the patch has the resultant F.
+
+    Its moment about the point of the force is zero.
+    """
     at = (40.0, 5.0, 60.0)
     where = f"loads.hip.at=[{at[0]} mm, {at[1]} mm, {at[2]} mm]"
     problem = assembled(CYLINDERS, f"mesh.order={order}", where, "interfaces={}")
@@ -41,7 +44,7 @@ def test_loads_force_at_a_point_has_resultant_and_moment(order: int) -> None:
 
 
 def test_loads_even_force_acts_at_the_centroid() -> None:
-    """Without a point the traction is uniform: no moment about the centroid of the patch."""
+    """Without a point the traction is uniform, without a moment about the patch's centroid."""
     problem = assembled(CYLINDERS, "interfaces={}")
     moment = nodal_moment(problem, tuple(problem.body_forms.patch("stem_top").centroid))
     assert np.abs(moment).max() < 1e-12 * 900 * 30
@@ -49,7 +52,7 @@ def test_loads_even_force_acts_at_the_centroid() -> None:
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_loads_varying_body_force_has_resultant_and_moment(order: int) -> None:
-    """Polynomials of second degree on a box: integrals by hand."""
+    """Polynomials of second degree on a box have integrals by hand."""
     text = """
 geometry: {kind: blocks, blocks: [{name: low, size: [4 mm, 3 mm, 2 mm]},
                                   {name: high, size: [4 mm, 3 mm, 2 mm]}]}
@@ -76,7 +79,7 @@ loads:
 
 
 def test_loads_varying_load_is_evaluated_only_in_its_regions() -> None:
-    """Finite in the bone alone, that is enough; in the stem it is reported, with the key."""
+    """An expression needs to be finite in its regions only. The error names the key."""
     density = "density: ['log(hypot(x, y) - 10)', 0 N/mm^3, 0 N/mm^3]"
     bone = f"loads.hip={{kind: body_force, regions: [bone], {density}}}"
     problem = assembled(CYLINDERS, "geometry.taper=0 deg", bone)
@@ -88,7 +91,7 @@ def test_loads_varying_load_is_evaluated_only_in_its_regions() -> None:
 
 @pytest.mark.parametrize("size", [8, 6])
 def test_loads_of_the_stance_are_independent_of_facets(size: int) -> None:
-    """Hip and muscles act through points of the femur, whatever facets the mesh has there."""
+    """Hip and muscles act through points of the femur, for any facets of the mesh."""
     case = load(
         support.CONFIGS / "stance.yaml", [f"mesh.size={size} mm", "mesh.order=1", "interfaces={}"]
     ).config

@@ -1,4 +1,4 @@
-"""Rollers in any direction: a turned model has the numbers of the straight one."""
+"""Rollers in any direction: a rotated model has the numbers of the straight one."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ PLATE = (
 
 
 def turn(text: str, *overrides: str, face: bool = False) -> tuple[Case, TaggedMesh]:
-    """A case and its mesh, both turned: rollers along axes become oblique ones."""
+    """A case and its mesh, both rotated: rollers along axes become oblique ones."""
     straight = support.case(text, *overrides)
     data = CHANGES["turned"](meshes.build(straight.geometry, straight.mesh, None))
     changes = [*overrides]
@@ -61,7 +61,10 @@ def reactions(solved: support.Solved) -> Floats:
 
 
 def same(text: str, *overrides: str, face: bool = False, tolerance: float = 1e-9) -> None:
-    """Solve a case straight and turned: displacements and reactions are turned, numbers equal."""
+    """Solve a case straight and rotated.
+
+    Displacements and reactions rotate, and numbers are equal.
+    """
     one = support.solve(text, *overrides, balances=True)
     this, tagged = turn(text, *overrides, face=face)
     other = support.solve(this, tagged=tagged, balances=True)
@@ -82,19 +85,19 @@ def same(text: str, *overrides: str, face: bool = False, tolerance: float = 1e-9
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("face", [False, True])
 def test_oblique_rollers_rotated_quarter_equals_quarter(order: int, face: bool) -> None:
-    """Press fit and friction: planes of symmetry cut both sides of both interfaces."""
+    """Planes of symmetry cut both sides of both interfaces of a press fit with friction."""
     same(QUARTER, f"mesh.order={order}", face=face)
 
 
 def test_oblique_rollers_rotated_quarter_around_a_rigid_stem() -> None:
-    """The planes leave it one motion."""
+    """The planes leave the stem one motion."""
     under = "supports.under_cement={kind: roller, boundary: bone_bottom, axis: z}"
     same(QUARTER, "regions.stem={rigid: true}", under)
 
 
 @pytest.mark.parametrize("rigid", [False, True])
 def test_oblique_rollers_released_and_held_again(rigid: bool) -> None:
-    """An oblique support that lets go of a block, or of a plate on it, and takes hold again."""
+    """An oblique support of a block, or of a plate on it, is released and acts again."""
     supports = (
         "supports.side={kind: roller, boundary: x_max, axis: x, stages: [a, c]}",
         "stages=[{name: a}, {name: b}, {name: c}]",
@@ -105,7 +108,7 @@ def test_oblique_rollers_released_and_held_again(rigid: bool) -> None:
 
 
 def test_oblique_rollers_of_two_planes_at_45_degrees() -> None:
-    """Two rollers at 45 degrees hold the edge that they share, and a fixed corner is held."""
+    """Two rollers at 45 degrees hold the edge that they share. A fixed corner is held."""
     wedge = (
         "supports.y={kind: roller, boundary: y_min, normal: [1, 1, 0]}",
         "supports.z={kind: fixed, boundary: bottom}",
@@ -136,7 +139,7 @@ supports:
 
 
 def test_oblique_rollers_ring_in_a_rigid_shell() -> None:
-    """A core that swells in a ring whose outside slides in a shell: Lame's solution, by hand."""
+    """A core swells in a ring whose outside slides in a shell: Lame's solution, by hand."""
     solved = support.solve(RINGS)
     b, c, e = 4.0, 10.0, 0.01
     (λ1, G1), (λ2, G2) = (
@@ -150,7 +153,10 @@ def test_oblique_rollers_ring_in_a_rigid_shell() -> None:
 
 
 def test_oblique_rollers_shaft_rotates_in_its_bearing() -> None:
-    """Twisted at its core, its side held radially: all goes around, which the side lets happen."""
+    """The core is twisted and the side held radially.
+
+    The whole shaft rotates, because the side is free around the axis.
+    """
     turns = []
     for side in ("", ", side: {kind: roller, boundary: bone_surface, normal: face}"):
         twist = (
@@ -182,7 +188,7 @@ def test_oblique_rollers_shaft_rotates_in_its_bearing() -> None:
     ],
 )
 def test_oblique_rollers_refuse_wrong_directions(change: str, expected: str) -> None:
-    """Exactly one direction; the message says where and what is allowed."""
+    """A roller has exactly one direction. The message has the place and the allowed keys."""
     with pytest.raises(InputError, match=expected):
         support.case(BLOCK, f"supports.{change}")
 
@@ -212,7 +218,7 @@ def test_oblique_rollers_refuse_wrong_directions(change: str, expected: str) -> 
 def test_oblique_rollers_refuse_contradictory_supports(
     changes: tuple[str, ...], expected: str
 ) -> None:
-    """Displacements at an angle to what a roller holds; sides of an interface held at an angle."""
+    """Displacements are at an angle to the direction of a roller, or sides of an interface are."""
     with pytest.raises(InputError, match=expected):
         support.solve(BLOCK, *changes)
 
@@ -233,7 +239,7 @@ def test_oblique_rollers_refuse_a_face_with_an_edge() -> None:
     ("y", "expected"), [("[1, -1, 0]", ""), ("[2, 2, 0]", r"nothing holds .* along"), ("face", "")]
 )
 def test_oblique_rollers_free_motions_of_normals(y: str, expected: str) -> None:
-    """Judged on the mesh: two planes and the floor hold a block, one direction twice does not."""
+    """The check on the mesh accepts two planes and the floor, and refuses one direction twice."""
     this = support.case(
         BLOCK,
         "supports.x={kind: roller, boundary: x_min, normal: [1, 1, 0]}",

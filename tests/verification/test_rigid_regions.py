@@ -52,7 +52,7 @@ TURNED = "x: 0 mm, y: '-1e-3 * z', z: '0.02 + 1e-3 * y'"
 def test_rigid_regions_has_the_prescribed_motion(
     ends: list[str], given: str, turn: float, shift: float
 ) -> None:
-    """It moves by just that, and pushes with what holds it."""
+    """The region moves by exactly this motion. Its force is that of the supports."""
     holds = [
         f"supports.{end}={{kind: displacement, boundary: stem_{end}, {given}}}" for end in ends
     ]
@@ -98,7 +98,7 @@ loads:
 
 
 def test_rigid_regions_supports_may_hold_both_sides() -> None:
-    """The order of the regions does not matter: here the rigid one comes last."""
+    """The order of the regions does not matter. Here the rigid one is last."""
     solved = support.solve(PUNCH, balances=True)
     np.testing.assert_allclose(solved.last.pressure, 2.0, rtol=1e-9)
     _, u = solved.displacement("punch")
@@ -146,7 +146,7 @@ loads:
 
 
 def test_rigid_regions_floor_below_a_symmetric_block() -> None:
-    """Uniaxial stress, whether the floor is at rest or moves."""
+    """Stress is uniaxial, on a floor at rest and on a moving one."""
     moves = "supports.floor={kind: displacement, boundary: bottom, x: 0 mm, y: 0 mm, z: 0.02 mm}"
     for lift, change in ((0.0, "mesh.order=1"), (0.02, moves), (0.02, "mesh.order=2")):
         changes = {change, moves} if lift else {change}
@@ -159,7 +159,7 @@ def test_rigid_regions_floor_below_a_symmetric_block() -> None:
 
 
 def test_rigid_regions_friction_equals_that_of_a_stiff_one() -> None:
-    """Friction against the widening of the block, which is pushed over the floor then."""
+    """Friction acts against the widening of the block. Then the block is pushed over the floor."""
     push = (
         "interfaces.floor_block.friction_coefficient=0.3",
         "supports.sym={kind: displacement, boundary: block_x_min, x: 0.03 mm, history: [0, 1]}",
@@ -173,7 +173,10 @@ def test_rigid_regions_friction_equals_that_of_a_stiff_one() -> None:
 
 
 def test_rigid_regions_many_held_nodes_take_little_memory() -> None:
-    """The six motions that 3 000 held components leave, without a matrix of 3 000 by 3 000."""
+    """Six motions are compatible with 3 000 held components.
+
+    No matrix has 3 000 by 3 000 entries.
+    """
     random = np.random.default_rng(2)
     nodes = random.normal(size=(1000, 3))
     rows = rigid_modes(nodes).reshape(-1, 6)

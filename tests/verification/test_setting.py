@@ -1,4 +1,4 @@
-"""Regions that set: stress in rate form, from the modulus as it grows."""
+"""Regions that set: stress in rate form, with a growing modulus."""
 
 from __future__ import annotations
 
@@ -30,7 +30,10 @@ GRADED = ("regions.cement.youngs_modulus=[[0 mm, 1 GPa], [1 mm, 3 GPa]]",)
 def test_setting_rate_form_equals_total_form_when_cured(
     order: int, overrides: tuple[str, ...]
 ) -> None:
-    """Fully cured from the start, in two steps, as elastic cement at once."""
+    """Cement that is cured from the start is loaded in two steps.
+
+    The result is that of elastic cement loaded at once.
+    """
     more = (f"mesh.order={order}", "mesh.curved=false", *overrides)
     total = Heated.make(CYLINDERS, expanding(cement=α_T), *more)
     total.solve({"cement": 260.0})
@@ -76,7 +79,7 @@ def cooled(n: int, order: int, *overrides: str) -> Heated:
 
 
 def test_setting_clamped_bar_that_cools() -> None:
-    """σ = -∫ g E α_T dθ from gelation on, of second order in the step."""
+    """The stress is -∫ g E α_T dθ from gelation on, of second order in the step."""
     s = np.linspace(GEL, 1.0, 200_001)
     g = 0.01 + 0.99 * (0.4 * s - 0.25) / 0.15
     exact = float(np.trapezoid(g * E * α_T * 100 * s, s))
@@ -98,7 +101,10 @@ def test_setting_free_bar_has_no_stress(order: int) -> None:
 
 
 def test_setting_strain_before_gelation_leaves_no_stress() -> None:
-    """Stretched as a fluid, then set: only the floor's part of the stress is there."""
+    """The cement is stretched before gelation, then sets.
+
+    Only the floor's part of the stress stays.
+    """
     stretch = "supports.ceiling={kind: displacement, boundary: top, z: 0.09 mm}"
     one = "geometry.blocks=[{name: one, size: [4 mm, 3 mm, 9 mm]}]"
     bar = Heated.make(
@@ -119,7 +125,10 @@ def test_setting_strain_before_gelation_leaves_no_stress() -> None:
 
 
 def test_setting_with_contact_and_varying_degree_of_cure() -> None:
-    """Second order in the step where the outside sets first; balances close in every step."""
+    """The outside sets first.
+
+    The error is of second order in the step, and balances close in every step.
+    """
     stresses = {}
     for n in (3, 6, 12):
         model = Heated.make(
