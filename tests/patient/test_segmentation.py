@@ -103,3 +103,30 @@ def test_segmentation_structures_without_names_are_described_by_their_label() ->
     named = segmentation.Structure(path, 75, "femur_left", "by its file")
     assert str(unnamed) == "label 1 of labels.nii.gz"
     assert str(named) == "femur_left (label 75 of labels.nii.gz)"
+
+
+@pytest.mark.parametrize(
+    ("name", "side"),
+    [
+        ("LeftFemur", "left"),
+        ("Femur R", "right"),
+        ("femur_left", "left"),
+        ("FEMUR-RIGHT", "right"),
+        ("FemurL", "left"),
+        ("femur", None),
+        ("RightAndLeft", None),
+        ("Larger femur", None),
+    ],
+)
+def test_segmentation_side_follows_from_the_name(name: str, side: str | None) -> None:
+    assert segmentation.Structure(Path("image.nii"), 1, name, "test").side == side
+
+
+def test_segmentation_two_segments_of_one_name_are_both_there(tmp_path: Path) -> None:
+    bone = np.arange(27).reshape(3, 3, 3) < 9
+    ball = ~bone
+    path = nrrd_files.segmentation(
+        tmp_path / "s.seg.nrrd", [bone, ball], [("femur", 0, 1), ("femur", 1, 1)]
+    )
+    with pytest.raises(InputError, match=r"femora: femur \(label 1\), femur \(1\) \(label 2\)"):
+        segmentation.femur(path, None, None)

@@ -191,11 +191,8 @@ def test_layering_meshes_import_only_foundation_and_mesh_files(path: Path) -> No
 
 
 @all_of("app")
-def test_layering_no_branches_by_kind_of_law(path: Path) -> None:
-    """No file matches classes of laws. Laws import UFL inside methods.
-
-    The solver does not import the case.
-    """
+def test_layering_no_pattern_matching_of_laws(path: Path) -> None:
+    """No file matches classes of laws. Laws import UFL inside methods."""
     laws = {
         alias.asname or alias.name
         for node in ast.walk(tree(path))
@@ -205,7 +202,11 @@ def test_layering_no_branches_by_kind_of_law(path: Path) -> None:
     }
     names = (ast.unparse(n.cls) for n in ast.walk(tree(path)) if isinstance(n, ast.MatchClass))
     assert not laws.intersection(map(top, names))
-    # The solver's side of the program sees laws and scene alone.
+
+
+@all_of("app")
+def test_layering_solver_does_not_import_the_case(path: Path) -> None:
+    """The solver and the numbers of its states import laws and scene alone."""
     solving = {"numerics", "mechanics", "heat", "stepping"}
     if package_of(module(path)) in solving or module(path) in (
         "app.scene.bodies",

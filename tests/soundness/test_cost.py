@@ -10,6 +10,7 @@ from app.case.case import load
 from app.soundness import cost
 from meshes import build
 from tests import support
+from tests.cases.separate_bodies import block_under_plate
 from tests.support import CONFIGS
 
 NO_ERRORS = "output.error=false"
@@ -98,23 +99,6 @@ def test_cost_phases_add_up() -> None:
     assert sum(phases.values()) < cost.seconds(case)
 
 
-BLOCK = f"""
-geometry:
-  {{kind: file, path: {support.CONFIGS / "sliding_block.geo"}, interfaces: {{b: [plate, block]}}}}
-mesh: {{size: 5 mm, far_size: 10 mm, order: 1}}
-regions:
-  plate: {{rigid: true, tissue: other}}
-  block: {{youngs_modulus: 1 GPa, poisson_ratio: 0.4, tissue: other}}
-interfaces:
-  b: {{kind: contact, friction_coefficient: 0.3, sliding: finite,
-       between: [plate_bottom, block_top]}}
-supports:
-  floor: {{kind: fixed, boundary: block_bottom}}
-motions:
-  plate: {{region: plate, about: [0 mm, 0 mm, 0 mm]}}
-"""
-
-
 def test_cost_rigid_head_has_no_unknowns() -> None:
     case = load(support.CONFIGS / "head_cup.yaml").config
     size = cost.exact_size(case, build(case.geometry, case.mesh))
@@ -123,6 +107,6 @@ def test_cost_rigid_head_has_no_unknowns() -> None:
 
 
 def test_cost_counts_nodes_of_the_second_side() -> None:
-    case = support.case(BLOCK)
+    case = support.case(block_under_plate())
     description = cost.exact_size(case, build(case.geometry, case.mesh))
     assert " interface nodes with a jump" in description and " 0 interface nodes" not in description

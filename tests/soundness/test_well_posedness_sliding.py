@@ -15,65 +15,30 @@ from app.soundness import well_posedness
 from meshes import build
 from meshes.distribute import distribute
 from tests import support
+from tests.cases.separate_bodies import ball_in_cup, block_under_plate, drawn_block
 
-BALL = """
-geometry:
-  {kind: head_cup, head_diameter: 28 mm, radial_clearance: 0 mm, liner_thickness: 8 mm}
-mesh: {size: 5 mm, order: 2}
-regions:
-  head: {rigid: true}
-  liner: {youngs_modulus: 1 GPa, poisson_ratio: 0.4}
-interfaces:
-  bearing: {kind: contact, friction_coefficient: 0.06, sliding: finite}
-supports:
-  outside: {kind: fixed, boundary: liner_outer}
-motions:
-  ball: {region: head, about: head_centre}
-"""
-TURN = """motions={ball: {region: head, about: head_centre, rotation: {axes: yxz, cycle_table:
+BALL = ball_in_cup()
+BLOCK = block_under_plate()
+BALL_TURNS = """motions={ball: {region: head, about: head_centre, rotation: {axes: yxz, cycle_table:
 ["time [s], rotation y [deg]", "0, 0", "1, 25"]}}}"""
-BLOCK = f"""
-geometry:
-  {{kind: file, path: {support.CONFIGS / "sliding_block.geo"}, interfaces: {{b: [plate, block]}}}}
-mesh: {{size: 5 mm, far_size: 10 mm, order: 1}}
-regions:
-  plate: {{rigid: true, tissue: other}}
-  block: {{youngs_modulus: 1 GPa, poisson_ratio: 0.4, tissue: other}}
-interfaces:
-  b: {{kind: contact, friction_coefficient: 0.3, sliding: finite,
-       between: [plate_bottom, block_top]}}
-supports:
-  floor: {{kind: fixed, boundary: block_bottom}}
-motions:
-  plate: {{region: plate, about: [0 mm, 0 mm, 0 mm]}}
-"""
-SHELL = (
-    BALL.replace("ness: 8 mm", "ness: 8 mm, shell_thickness: 3 mm")
-    .replace("0.4}", "0.4}\n  shell: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}")
-    .replace("liner_outer", "shell_outer")
-)
-FINITE = """.liner_shell={kind: contact, friction_coefficient: 0.1, sliding: finite,
+BALL_WITHOUT_FRICTION = "interfaces.bearing.friction_coefficient=0"
+LINER_SLIDES_IN_SHELL = """.liner_shell={kind: contact, friction_coefficient: 0.1, sliding: finite,
 between: [liner_rim, shell_outer]}"""
-BOTH = BLOCK.replace("{b: [plate, block]}", "{b: [plate, block], d: [block, plate]}")
-UNDER = """interfaces.d={kind: contact, friction_coefficient: 0, sliding: finite,
-  between: [block_bottom, plate_top]}"""
-# Pressed to the plate, then drawn along it.
-DRAWN = BLOCK.partition("motions:")[0].replace(
-    "kind: fixed,", "kind: displacement, x: 30 mm, y: 0 mm, history: [0, 1],"
-)
-DRAWN += """\
-  table: {kind: fixed, boundary: plate_top}
-loads: {up: {kind: force, boundary: block_bottom, force: [0 N, 0 N, 500 N], history: [1, 1]}}
-stages: [{name: press}, {name: draw, increments: 4}]
-"""
-SMOOTH = "interfaces.bearing.friction_coefficient=0"
+BLOCK_SLIDES_ON_PLATE_BELOW = """interfaces.d={kind: contact, friction_coefficient: 0,
+  sliding: finite, between: [block_bottom, plate_top]}"""
 
 
 def judged(text: str, *overrides: str) -> list[str]:
+    """Notes on a case on its mesh."""
     case = support.case(text, *overrides)
     parts = well_posedness.mesh_parts(case, build(case.geometry, case.mesh))
-    assert parts.doubled or case.geometry.kind == "file"  # the poles of both spheres
     return [v.text for v in well_posedness.check_on_mesh(case, parts)]
+
+
+def test_well_posedness_sliding_ball_and_cup_have_nodes_at_one_place() -> None:
+    """The poles of both spheres coincide, because the clearance is zero."""
+    case = support.case(BALL)
+    assert well_posedness.mesh_parts(case, build(case.geometry, case.mesh)).doubled
 
 
 def test_well_posedness_sliding_holds_a_body_with_coincident_nodes() -> None:
@@ -88,7 +53,7 @@ def test_well_posedness_sliding_rigid_body_needs_a_motion() -> None:
         judged(BLOCK, "motions={}")
     held = "supports.top={kind: fixed, boundary: plate_top}"
     assert judged(BLOCK, "motions={}", held) == []
-    assert judged(BALL, SMOOTH, TURN) == []
+    assert judged(BALL, BALL_WITHOUT_FRICTION, BALL_TURNS) == []
 
 
 @pytest.mark.parametrize(
@@ -97,7 +62,11 @@ def test_well_posedness_sliding_rigid_body_needs_a_motion() -> None:
         (BALL, "={}", "bearing: no facet between head and liner; .*`sliding: finite`"),
         (BLOCK, ".b={kind: bonded}", "b: no facet between plate and block"),
         (BLOCK, ".b.between=[plate_bottom, plate_top]", "b.between: .* plate; .* block only"),
-        (SHELL, FINITE, "liner_shell.sliding: liner and shell share [0-9]+ facets"),
+        (
+            ball_in_cup(shell=True),
+            LINER_SLIDES_IN_SHELL,
+            "liner_shell.sliding: liner and shell share [0-9]+ facets",
+        ),
     ],
 )
 def test_well_posedness_sliding_refuses_interfaces_that_do_not_fit(
@@ -113,7 +82,8 @@ def test_well_posedness_sliding_refuses_supports_on_its_nodes() -> None:
     rim += "finite sliding of interfaces.bearing;"
     with pytest.raises(InputError, match=rim):
         judged(BALL, "supports.rim={kind: fixed, boundary: liner_rim}")
-    case = support.case(BOTH, UNDER)
+    both = block_under_plate("b: [plate, block], d: [block, plate]")
+    case = support.case(both, BLOCK_SLIDES_ON_PLATE_BELOW)
     data = build(case.geometry, case.mesh)
     tags = data.boundaries["block_bottom"] + data.boundaries["block_top"]
     joined = replace(data, boundaries={**data.boundaries, "block_bottom": tags})
@@ -123,7 +93,7 @@ def test_well_posedness_sliding_refuses_supports_on_its_nodes() -> None:
 
 def drawn(*overrides: str, plate: float = 0.0, step: float = 0.0) -> support.Solved:
     """Draw the block, whose top is lower at both ends, with the plate moved along z [mm]."""
-    case = support.case(DRAWN, *overrides)
+    case = support.case(drawn_block(), *overrides)
     data = build(case.geometry, case.mesh)
     x, nodes = data.points.copy(), np.unique(data.cells[data.cell_tags == data.regions["plate"]])
     block = np.setdiff1d(np.arange(len(x)), nodes)
