@@ -154,7 +154,7 @@ def trace(geometry: OperatedHip) -> str:
 
 
 @pytest.mark.parametrize("kind", [Femur, Patient])
-def test_keys_without_effect_are_looked_for_among_all(kind: type[OperatedHip]) -> None:
+def test_hips_keys_without_effect_are_looked_for_among_all(kind: type[OperatedHip]) -> None:
     assert set(keys_of(kind)) <= VALUES.keys()
 
 
@@ -168,7 +168,7 @@ def tried() -> Iterator[Any]:
 
 
 @pytest.mark.parametrize(("scene", "path"), tried())
-def test_keys_without_effect_are_those_that_change_nothing(
+def test_hips_keys_without_effect_are_those_that_change_nothing(
     folder: Path, scene: str, path: str
 ) -> None:
     one, other = (made(scene, folder, path, value) for value in VALUES[path] or ())
@@ -176,7 +176,7 @@ def test_keys_without_effect_are_those_that_change_nothing(
     assert said == (trace(one) == trace(other)), one.without_effect(MESH)
 
 
-def test_keys_without_effect_are_noted_where_they_are_given() -> None:
+def test_hips_keys_without_effect_are_noted_where_they_are_given() -> None:
     given = (
         "geometry.cement_thickness=0 mm",
         "geometry.stem.tip_rounding=3 mm",
@@ -191,13 +191,13 @@ def test_keys_without_effect_are_noted_where_they_are_given() -> None:
     assert "the end of the stem is flat above a void of 5 mm" in notes["geometry.stem.tip_rounding"]
 
 
-def test_keys_without_effect_are_not_noted_in_a_case_that_mantle_wrote(tmp_path: Path) -> None:
+def test_hips_keys_without_effect_are_not_noted_in_a_case_that_mantle_wrote(tmp_path: Path) -> None:
     (tmp_path / "case.yaml").write_text(dump(load(support.CONFIGS / "pressed.yaml").config))
     notes = preview.input_notes(load(tmp_path / "case.yaml").config)
     assert not [n.where for n in notes if "has no effect" in str(n)]
 
 
-def test_keys_without_effect_are_those_of_covered_zones() -> None:
+def test_hips_keys_without_effect_are_those_of_covered_zones() -> None:
     zones = {
         "inner": {"above": "20 mm", "below": "40 mm", "friction_coefficient": 0.3, "gap": "0.1 mm"},
         "outer": {"below": "60 mm", "interference": "0.02 mm"},
