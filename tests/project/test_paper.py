@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -14,6 +15,11 @@ from docs.paper import claims, compare
 from docs.paper.claims import AGREES, DIFFERS, UNDECIDED
 from tests.report.sweeps import MODULI, Law, Maker, as_the_paper_says, contact, femur, sweep, zones
 from tests.support import CONFIGS
+
+
+@pytest.fixture
+def maker(tmp_path: Path) -> Maker:
+    return Maker(tmp_path)
 
 
 def verdicts(results: rs.SweepResults) -> dict[str, str]:
