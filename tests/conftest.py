@@ -34,7 +34,7 @@ def collect_together() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def log_of_other_tests() -> Iterator[None]:
-    """The command line sets up its log; the tests after it need that of pytest."""
+    """Restore the log of pytest after a test in which the command line set up its log."""
     logger = logging.getLogger("mantle")
     before = logger.propagate, logger.level, logger.handlers
     logger.propagate = True
@@ -44,7 +44,7 @@ def log_of_other_tests() -> Iterator[None]:
 
 @pytest.fixture
 def two_blocks() -> str:
-    """Smallest case: an elastic block below a rigid one, lengths in four units."""
+    """The smallest case: an elastic block below a rigid one, with lengths in four units."""
     return """\
 geometry:
   kind: blocks

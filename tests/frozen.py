@@ -36,7 +36,7 @@ TINY = 1e-9  # rounding, in the units of the summary
 
 
 def numbers(folder: Path) -> dict[str, float]:
-    """Read the numbers of a run: its summaries and the last row of its histories, by their path."""
+    """Numbers of a run by their path: its summaries and the last row of its histories."""
     values: dict[str, Any] = {}
     for path in sorted(folder.rglob("summary.json")):
         prefix = path.parent.relative_to(folder).as_posix()
@@ -101,7 +101,7 @@ def _volatile(path: str) -> bool:
 
 
 def main(action: str, arguments: list[str]) -> int:
-    """Write or compare; the exit code tells if a number moved."""
+    """Write or compare; the exit code shows if a number moved."""
     given = "" if action == "write" else arguments.pop(0)
     cases = frozen()
     bad = 0

@@ -1,8 +1,8 @@
-"""Ranks that stay: they run one Python program after another, without starting anew each time.
+"""Persistent ranks that run one Python program after another.
 
-Started by `tests.support.on_ranks` with a folder. Each rank waits for ``N.json``, the arguments of
-Python, runs them with its output in ``N.out`` and ``N.err``, and writes its exit code; no
-arguments end it.
+`tests.support.on_ranks` starts them with a folder. Each rank waits for ``N.json``, the arguments of
+Python. It runs Python with output in ``N.out`` and ``N.err``, and writes the exit code. Empty
+arguments end the rank.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ PAUSE = 0.01
 
 
 def run(arguments: list[str]) -> int:
-    """Run Python with these arguments, to an exit code."""
+    """Run Python with these arguments; return its exit code."""
     sys.argv = arguments
     try:
         if arguments[:2] == ["-m", "mantle"]:
@@ -46,7 +46,7 @@ def run(arguments: list[str]) -> int:
 
 
 def redirect(path: Path, descriptor: int) -> None:
-    """Append what is written to a file descriptor to a file."""
+    """Append the output of a file descriptor to a file."""
     target = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     os.dup2(target, descriptor)
     os.close(target)

@@ -1,4 +1,4 @@
-"""Solving a case inside a test: the one place where the tests drive the application by hand."""
+"""Solving a case inside a test: the one place where the tests call the solver directly."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ regions:
 def stem(length: str = "20 mm", mesh: str = "size: 5 mm", taper: str = "1.5 deg") -> str:
     """A tapered stem in cement and bone held outside: a case without interfaces and loads.
 
-    More supports may follow it. By default it is on a mesh that is solved at once.
+    The case ends with supports, so a test can add more. The default mesh is solved at once.
     """
     return f"""
 geometry: {{kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
@@ -162,7 +162,7 @@ class Solved:
 
 
 def case(text: str | Mapping[str, Any], *overrides: str) -> Case:
-    """A configuration from YAML text or from the same as a mapping.
+    """A configuration from YAML text or from a mapping.
 
     Args:
         text: The case.
@@ -187,12 +187,12 @@ def without_origin(case: Case) -> dict[str, Any]:
 
 
 def build(case: Case) -> MeshData:
-    """The mesh of a case as arrays, from the cache of meshes if it is there."""
+    """The mesh of a case as arrays, from the cache of meshes if possible."""
     return meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
 
 
 def digest(data: MeshData) -> str:
-    """Digest of a mesh: it tells whether two are the same to the last bit."""
+    """Digest of a mesh, equal only for meshes that are equal to the last bit."""
     arrays = (data.points, data.cells, data.cell_tags, data.facets, data.facet_tags)
     return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
 
@@ -279,12 +279,12 @@ def run(text: str, folder: Path, *overrides: str) -> Results:
 
 
 def vector(values: Any, unit: str = "") -> str:
-    """A vector as a case file has it."""
+    """A vector in the form of a case file."""
     return "[" + ", ".join(f"{v:.17g}{unit}" for v in values) + "]"
 
 
 def sets(*changes: str) -> list[str]:
-    """Changes of a case as the command line has them."""
+    """Changes of a case in the form of the command line."""
     return [word for change in changes for word in ("--set", change)]
 
 
@@ -295,7 +295,7 @@ def summary(folder: Path) -> dict[str, Any]:
 
 
 def difference(a: Any, b: Any, floor: float = 0.0) -> float:
-    """Largest difference over the largest value of b, or over a floor where that is larger."""
+    """Largest difference over the largest value of b, or over a floor if that is larger."""
     one, two = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     return float(np.abs(one - two).max() / max(np.abs(two).max(), floor))
 
@@ -357,7 +357,7 @@ class Ranks:
         return self._process.poll() is None
 
     def end(self) -> None:
-        """End the ranks, which have nothing to do."""
+        """End the ranks, which wait for a program."""
         if self.alive:
             self._order([])
             self._process.wait(timeout=TIMEOUT)
@@ -417,7 +417,7 @@ def results_on_one_and_two_ranks(text: str, folder: Path) -> tuple[Results, Resu
 
 
 def environment() -> dict[str, str]:
-    """Environment of a new set of ranks, whatever MPI this process was started by."""
+    """Environment of a new set of ranks, without variables of the MPI of this process."""
 
     foreign = ("OMPI_COMM_", "PMIX_", "PRTE_", "PMI_")
     here = {k: v for k, v in os.environ.items() if not k.startswith(foreign)}
@@ -428,7 +428,7 @@ def environment() -> dict[str, str]:
 def extended(
     folder: Path, program: str, text: str, *arguments: str
 ) -> subprocess.CompletedProcess[str]:
-    """Run a command with a package of the user's, in the processes that it starts as well.
+    """Run a command with a package of the user, in the processes that it starts as well.
 
     Args:
         folder: Where package and ``case.yaml`` are written and the command runs.

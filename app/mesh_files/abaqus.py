@@ -1,6 +1,6 @@
 """Reader of ``.inp`` files of Abaqus and CalculiX.
 
-Of 19 spellings of one mesh in `tests/meshes/test_mesh_formats.py` meshio 5.3.5 gets 15 wrong;
+Of 19 spellings of one mesh in `tests/mesh_files/test_abaqus.py` meshio 5.3.5 gets 15 wrong;
 of 14 files with nodes in other axes it gets 13 wrong.
 """
 

@@ -1,6 +1,6 @@
 """Reader of ``.vtu`` and ``.pvtu`` files of VTK and ParaView, with all encodings and pieces.
 
-Of the 96 encodings of `tests/meshes/test_mesh_formats.py` meshio 5.3.5 gets 74 wrong: appended
+Of the 96 encodings of `tests/mesh_files/test_vtu.py` meshio 5.3.5 gets 74 wrong: appended
 data, files of several pieces, of which it keeps the last, and LZ4.
 """
 

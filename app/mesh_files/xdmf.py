@@ -1,6 +1,6 @@
 """Reader of ``.xdmf`` files: all grids, with arrays in the file, in HDF5 or in binary files.
 
-Of 16 files with one mesh in `tests/meshes/test_mesh_formats.py` meshio 5.3.5 gets 14 wrong:
+Of 16 files with one mesh in `tests/mesh_files/test_xdmf.py` meshio 5.3.5 gets 14 wrong:
 several grids, references between them, tags beside the cells, binary files.
 """
 

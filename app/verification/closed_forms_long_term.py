@@ -22,7 +22,7 @@ CEMENT: Law = (7.985e-7, 1.9063, 0.4113, -0.1160)
 NORTON: Law = (1e-6, 4.0, 1.0, 0.0)
 E = 2200.0  # Young's modulus of creep_bar.yaml [MPa]
 # Subsidence of creep_taper.yaml by 1e7 cycles of creep [mm]: of rings in plane strain under 3 MPa,
-# by an integration of rates (tests/verification/test_creep_forms.py).
+# by an integration of rates (tests/verification/test_closed_forms_creep.py).
 SUBSIDENCE = 0.15611
 
 

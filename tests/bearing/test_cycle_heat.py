@@ -1,4 +1,4 @@
-"""Heat of a ball in its cup, the mean of a cycle: against lumped bodies, and symmetry."""
+"""Mean heat of a cycle for a ball in its cup, against lumped bodies and by symmetry."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_cycle_heat_conductance_without_a_time_course(tmp_path: Path) -> None:
 def test_cycle_heat_of_a_spinning_ball_is_symmetric(tmp_path: Path) -> None:
     """The ball is pressed at 45 degrees to the axis of its rotation.
 
-    The cup is warm where it is pressed. The ball is equally warm along a ring about the axis.
+    The cup is warm at the pressed side. The ball is equally warm along a ring about the axis.
     """
     cycle_table = '["time [s], rotation z [deg]", "0, 0", "1, 120", "2, 240", "3, 360"]'
     changes = (

@@ -1,4 +1,4 @@
-"""A rigid ball that turns in its cup: torque, wear and heat against sums over the fields."""
+"""Torque, wear and heat of a rigid ball that rotates in its cup, against sums over the fields."""
 
 from __future__ import annotations
 
@@ -18,12 +18,15 @@ from tests.cases.worn_ball import CASE, FRICTION, LOAD, RADIUS, WEAR, areas
 
 @pytest.fixture(scope="module")
 def ball(tmp_path_factory: pytest.TempPathFactory) -> Results:
-    """Two cycles of turning about y."""
+    """Two cycles of rotation about y."""
     return support.run(CASE, tmp_path_factory.mktemp("ball"))
 
 
 def test_friction_cycles_torque_is_the_sum_of_friction_moments(ball: Results) -> None:
-    """Of a ball that turns about y friction at n is μ p along y x n, its arm R |y x n|."""
+    """The ball turns about y.
+
+    Friction at n acts along y x n with the size μ p and the arm R |y x n|.
+    """
     run = Run(ball.folder)
     liner = areas(run, "liner")
     p, n = (
@@ -42,7 +45,7 @@ def test_friction_cycles_torque_is_the_sum_of_friction_moments(ball: Results) ->
 
 
 def test_friction_cycles_torque_work_equals_dissipation(ball: Results) -> None:
-    """Where the ball turns on, dissipated energy is M dθ."""
+    """While the ball rotates in one sense, dissipated energy is the integral of M dθ."""
     record = ball.step_record
     θ = np.interp(record["time [-]"] * 2 % 1, [0, 0.3, 0.7, 1], np.radians([0, 20, -10, 0]))
     spent = np.diff(record["bearing dissipation [N mm]"])
@@ -52,7 +55,7 @@ def test_friction_cycles_torque_work_equals_dissipation(ball: Results) -> None:
 
 
 def test_friction_cycles_wear_follows_archard_on_both_sides(ball: Results) -> None:
-    """Worn volume k E / μ and slid area are the same on liner and ball, by the facets of each."""
+    """Worn volume k E / μ and slid area are equal on liner and ball, by the facets of each."""
     run, result = Run(ball.folder), ball.summary["interfaces"]["bearing"]
     expected = WEAR * result["dissipation_cycle"] / FRICTION
     assert result["wear_volume"] == pytest.approx(expected, rel=1e-12)
@@ -74,7 +77,7 @@ def test_friction_cycles_errors_cover_a_finer_mesh(tmp_path: Path) -> None:
 
 
 def test_friction_cycles_reports_the_share_facing_a_bore(tmp_path: Path) -> None:
-    """Share within the opening of the ball's bore of 13 mm, which is turned from -z to -x."""
+    """The bore of the ball has an opening of 13 mm, which turns from -z to -x."""
     cycle_table = '["time [s], rotation y [deg]", "0, 0", "1, 90"]'
     moved = (f"motions.ball.rotation.cycle_table={cycle_table}", "motions.ball.largest_step=45 deg")
     result = support.run(CASE, tmp_path, *moved, "stages=[{name: press}, {name: turn}]")
@@ -88,7 +91,7 @@ def test_friction_cycles_reports_the_share_facing_a_bore(tmp_path: Path) -> None
 
 
 def test_friction_cycles_difference_of_the_last_two_cycles(ball: Results) -> None:
-    """The first cycle begins where the load was pressed on, the second where that one ended."""
+    """The first cycle begins at the first contact, the second at the end of the first."""
     change = ball.summary["cycles"]["turn"]["change"]["bearing"]
     spent = ball.step_record["bearing dissipation [N mm]"]
     ends = spent[[0, (len(spent) - 1) // 2, -1]]
@@ -101,7 +104,10 @@ def test_friction_cycles_difference_of_the_last_two_cycles(ball: Results) -> Non
 
 
 def test_friction_cycles_fields_follow_the_rotated_ball(ball: Results) -> None:
-    """In space, and on the page: its sentence, the cup's map, which keeps arcs from its pole."""
+    """The fields are in space.
+
+    The page has a sentence and a map of the cup that keeps arcs from its pole.
+    """
     run = Run(ball.folder)
     k = int(np.argmin(np.abs(run.times - 1.2)))
     θ = math.radians(np.interp(2 * run.times[k] % 1, [0, 0.3, 0.7, 1], [0, 20, -10, 0]))
@@ -125,7 +131,10 @@ def test_friction_cycles_fields_follow_the_rotated_ball(ball: Results) -> None:
 
 
 def test_friction_cycles_power_and_temperature_amplitude(tmp_path: Path) -> None:
-    """Energy over the period of 1 s, and 2 q sqrt(t/π) of both effusivities."""
+    """Power is energy over the period of 1 s.
+
+    The amplitude is 2 q sqrt(t/π) over both effusivities.
+    """
     thermal = (
         "{{conductivity: {} W/(m K), density: 1000 kg/m^3, specific_heat: 1000 J/(kg K), "
         "initial_temperature: 37 degC}}"

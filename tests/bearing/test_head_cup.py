@@ -83,7 +83,7 @@ def exact() -> dict[str, float]:
 
 
 def test_head_cup_volumes_and_areas_converge(cup: MeshData) -> None:
-    """Edges are curved on both sides of the bearing, too."""
+    """Edges are curved on both sides of the bearing."""
     for data, error in ((cup, 5e-4), (mesh(1.4), 2.5e-4)):
         sizes = region_volumes(data) | boundary_areas(data)
         assert {name: sizes[name] for name in exact()} == pytest.approx(exact(), rel=error)
@@ -121,7 +121,7 @@ CLOSED = {"cover_angle": "120 deg", "bore_taper": "0 deg"}
 )
 @pytest.mark.parametrize("part", [1.0, 0.7])
 def test_head_cup_thin_open_and_closed_cups_mesh(keys: dict[str, Any], part: float) -> None:
-    """Up to the largest cells that are allowed, or 5 mm."""
+    """Cells are of the largest allowed size, or 5 mm."""
     geometry = HeadCup(**LINER | keys)
     size = part * min(5.0, geometry.coarsest_size)
     data = mesh(size, geometry)

@@ -1,4 +1,4 @@
-"""A folder with a case, a sweep and a study, where a stand-in runs in place of ``mantle run``."""
+"""A folder with a case, a sweep and a study. A stand-in replaces ``mantle run``."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ STAND_IN = Path(__file__).with_name("stand_in.py")
 
 
 class Bench:
-    """The folder; its files tell `stand_in` what to do."""
+    """The folder, whose files control `stand_in`."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.out = folder, folder / "out put"
@@ -58,14 +58,14 @@ class Bench:
             (self.folder / name).write_text(text)
 
     def taken(self, name: str) -> list[str]:
-        """The ``calls`` of the stand-in since the last time, or the ``runs`` that it finished."""
+        """The ``calls`` of the stand-in since the previous look, or its finished ``runs``."""
         path = self.folder / name
         lines = path.read_text().splitlines() if path.exists() else []
         path.unlink(missing_ok=True)
         return sorted(lines)
 
     def sizes(self) -> list[float]:
-        """The mesh sizes of the calls since the last time."""
+        """The mesh sizes of the calls since the previous look."""
         return [float(line.split()[0]) for line in self.taken("calls")]
 
     def job(self, size: float, *more: str, ranks: int = 1, timed: bool = False) -> PlannedRun:
@@ -81,7 +81,7 @@ class Bench:
         return [*runs.glob("case-*/DONE"), *runs.glob("shared-*/case-*/DONE")]
 
     def processes(self) -> list[int]:
-        """Other processes that have to do with the batch."""
+        """Processes of the batch, without this one."""
         here, numbers = str(self.folder).encode(), []
         for path in Path("/proc").glob("[0-9]*/cmdline"):
             with contextlib.suppress(OSError):

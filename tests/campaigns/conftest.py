@@ -1,4 +1,4 @@
-"""A folder where a stand-in runs in place of ``mantle run``."""
+"""A folder in which a stand-in replaces ``mantle run``."""
 
 from __future__ import annotations
 

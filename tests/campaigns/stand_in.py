@@ -29,7 +29,9 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-HERE, CASE, OUTPUT = (Path(sys.argv[i]) for i in (1, 2, 4))
+HERE = Path(sys.argv[1])
+CASE = Path(sys.argv[2])
+OUTPUT = Path(sys.argv[4])
 DATA = YAML(typ="safe").load(CASE.read_text())
 LAW = "lower_upper"  # interface of the case
 PATIENCE = 60.0  # s
@@ -49,7 +51,7 @@ def note(name: str, *words: object) -> None:
 
 
 def wait() -> None:
-    """Take the time asked for; wait for others to run beside this, or for a file."""
+    """Sleep for the requested time; wait for runs at the same time, or for a file."""
     running, met, end = HERE / "running", HERE / "met", time.monotonic() + PATIENCE
     running.mkdir(exist_ok=True)
     (running / OUTPUT.name).touch()

@@ -1,4 +1,4 @@
-"""Many runs: what is run again and what is not, how failures and interruptions end."""
+"""Batches of runs: repeated and skipped runs, failures and interruptions."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_batch_failures_are_isolated_and_repeated(
 
 
 def test_batch_repeats_only_changed_runs(bench: Bench) -> None:
-    """Also under another name or written otherwise, but not for another number of ranks."""
+    """A new name or another spelling repeats no run; another number of ranks does."""
     first = bench.run(bench.job(1.0), bench.job(2.0))
     assert bench.sizes() == [1.0, 2.0]
 
@@ -132,7 +132,7 @@ def test_batch_jobs_share_cores_and_memory(
     bench: Bench,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Two jobs on two cores with 8 GB, unless they are to be timed; one thread each."""
+    """Two jobs run on two cores with 8 GB, with one thread each. Timed jobs run alone."""
     monkeypatch.setattr(memory, "available", lambda environ: 8e9)
     monkeypatch.setattr(memory, "needed", lambda case: gigabytes * 1e9)
     bench.tell(seconds="0.2", meet="2" if together else "1")
@@ -205,7 +205,7 @@ def test_batch_states_of_jobs(answer: str, code: int, state: str, tmp_path: Path
 
 
 def test_batch_of_real_runs(tmp_path: Path) -> None:
-    """``mantle run`` itself, on two ranks beside a block that is pulled off."""
+    """``mantle run`` solves the cases on two ranks. One block is pulled off and fails."""
     case = tmp_path / "case.yaml"
     case.write_text(CASE)
     jobs = [
@@ -234,7 +234,7 @@ WICKED = [
 
 
 def test_batch_names_and_values_are_never_commands(bench: Bench) -> None:
-    """Neither those of cases nor what is in them, by Snakemake, the shell or Python."""
+    """Snakemake, the shell and Python execute neither names of cases nor values in them."""
     bench.out = bench.folder / "out ;$(touch PWNED) '{x}"
     jobs = [PlannedRun.load(word, bench.case, (f"title={json.dumps(word)}",)) for word in WICKED]
     results = bench.run(*jobs)
@@ -249,7 +249,10 @@ def test_batch_names_and_values_are_never_commands(bench: Bench) -> None:
 def test_batch_run_killed_for_memory_names_its_need(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """SIGKILL of the system: the exit code of the environment, and fewer runs at once."""
+    """The system kills a run by SIGKILL.
+
+    The exit code is that of the environment, and fewer runs start at once.
+    """
     stance = CONFIGS / "stance.yaml"
     case = load(stance).config
     need = cost.gigabytes(case)

@@ -53,7 +53,10 @@ def means(friction: float, modulus: float, noise: float = 0.0) -> dict[str, floa
     return {key: value * (1 + noise * random.gauss()) for key, value in exact.items()}
 
 
-PRESSURE, SHEAR, SLIP = means(0.45, 3.0).values()
+MEASURED = means(0.45, 3.0)
+PRESSURE = MEASURED["pressure_mean"]
+SHEAR = MEASURED["shear_mean"]
+SLIP = MEASURED["slip_mean"]
 KEYS = f"""\
     {FRICTION}: {{low: 0.1, high: 0.9}}
     {MODULUS}: {{low: 1 GPa, high: 9 GPa, scale: logarithmic}}
@@ -77,7 +80,7 @@ def noise(request: pytest.FixtureRequest) -> float:
 
 @pytest.fixture
 def model(bench: Bench, noise: float, monkeypatch: pytest.MonkeyPatch) -> Bench:
-    """The folder, where runs are `means` in this process."""
+    """The folder, in which `means` replaces the runs."""
 
     def run(planned: Sequence[PlannedRun], folder: Path, *options: object) -> list[Result]:
         folder.mkdir(exist_ok=True)
@@ -106,7 +109,7 @@ def verdicts(record: Any) -> str:
 
 @pytest.mark.parametrize("noise", [0.0, 0.002, 0.004], indirect=True)
 def test_fit_recovers_friction_and_modulus_within_their_uncertainties(model: Bench) -> None:
-    """Data with noise, and a noise of meshing of none to half of an uncertainty."""
+    """The data have noise. The noise of the mesh is zero, or half of an uncertainty."""
     record = search(model, file())
     friction, modulus = record["keys"].values()
     assert abs(friction["number"] - 0.45) < 2 * friction["uncertainty"] < 0.05
@@ -121,7 +124,7 @@ def test_fit_recovers_friction_and_modulus_within_their_uncertainties(model: Ben
 
 
 def test_fit_has_the_covariance_of_the_linear_problem(model: Bench) -> None:
-    """Only the shear stress and the pressure: derivatives by hand, for exact data."""
+    """Shear stress and pressure are exact data; derivatives are by hand."""
     pressure, shear = 2 * math.sqrt(3) * 1.135, 0.45 * 2 * math.sqrt(3) * 1.135
     targets = f"""\
     lower_upper.pressure_mean: {{value: {pressure} MPa, uncertainty: 0.04 MPa}}
@@ -155,7 +158,7 @@ def test_fit_names_a_key_without_influence(model: Bench) -> None:
 
 
 def test_fit_says_which_keys_its_targets_cannot_tell_apart(model: Bench) -> None:
-    """One number, two keys: it rises with both."""
+    """One number rises with both keys."""
     targets = "    lower_upper.shear_mean: {value: 1.8 MPa, uncertainty: 0.04 MPa}\n"
     record = search(model, file(targets=targets))
     (verdict,) = record["verdicts"]
@@ -195,7 +198,7 @@ def test_fit_says_nothing_on_the_bound_of_a_key_that_is_not_determined(model: Be
 
 
 def test_fit_goes_around_failed_runs_and_names_them(bench: Bench) -> None:
-    """The slip is 0.04 * 0.99 / friction; the first difference fails and the other side is run."""
+    """The slip is 0.04 * 0.99 / friction. The first difference fails, so the other side is run."""
     bench.tell(broken="0.54", code="4")
     record = search(bench, FRICTION_BY_SLIP)
     (verdict,) = record["verdicts"]
@@ -225,7 +228,7 @@ def test_fit_out_of_runs_has_its_best_run_and_continues(bench: Bench) -> None:
 
 
 def test_fit_interrupted_resumes_from_the_runs_on_disk(bench: Bench) -> None:
-    """The runs after the first one wait for a file; a signal stops them."""
+    """All runs but the first wait for a file; a signal stops them."""
     bench.tell(awaited="nothing")
 
     def interrupt() -> None:
@@ -247,7 +250,7 @@ def test_fit_interrupted_resumes_from_the_runs_on_disk(bench: Bench) -> None:
 
 
 def test_fit_minimises_a_key_under_a_constraint(model: Bench) -> None:
-    """Softest block with a pressure of at least 4 MPa at friction 0.9: sqrt(E) = 2 / 1.27."""
+    """The softest block has a pressure of 4 MPa or more at friction 0.9: sqrt(E) = 2 / 1.27."""
     text = file(targets="", more=f"  minimise: {MODULUS}\n  constraints:\n")
     text += "    lower_upper.pressure_mean: {at_least: 4 MPa}\n"
     record = search(model, text)
@@ -260,7 +263,10 @@ def test_fit_minimises_a_key_under_a_constraint(model: Bench) -> None:
 
 
 def test_fit_maximises_a_number_between_bounds(model: Bench) -> None:
-    """Shear stress with a pressure of at most 4 MPa: both keys follow from the active bound."""
+    """The shear stress is largest at a pressure of 4 MPa.
+
+    Both keys follow from this active bound.
+    """
     text = file(targets="", more="  maximise: lower_upper.shear_mean\n  constraints:\n")
     text += "    lower_upper.pressure_mean: {at_least: 1 MPa, at_most: 4 MPa}\n"
     record = search(model, text)
@@ -463,7 +469,7 @@ def test_fit_set_of_a_fitted_key_is_refused(bench: Bench) -> None:
 
 @pytest.mark.slow  # 12 runs of 2 s
 def test_fit_of_a_push_in_test_recovers_friction_and_modulus(tmp_path: Path) -> None:
-    """The shipped file, whose data were made by 0.35 and 2.5 GPa and changed by noise."""
+    """The data of the shipped file are those of 0.35 and 2.5 GPa with noise."""
     path = support.CONFIGS / "fits" / "push_in.yaml"
     record: Any = fit.run(path, (), Options(tmp_path / "out", 2))
     friction, modulus = record["keys"].values()

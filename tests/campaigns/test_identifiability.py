@@ -1,4 +1,4 @@
-"""Uncertainty of keys and directions without information, against formulas."""
+"""Uncertainty of keys, and directions without information, against formulas."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from app.campaigns.identifiability import identify, in_words
 
 
 def test_identifiability_of_independent_keys() -> None:
-    """Diagonal derivatives d: uncertainties 1 / d, no correlation."""
+    """Diagonal derivatives d give uncertainties 1 / d and no correlation."""
     known = identify(np.array([[10.0, 0.0], [0.0, 40.0], [0.0, 0.0]]))
     assert known.uncertainties == pytest.approx([0.1, 0.025])
     assert known.correlation == pytest.approx(np.eye(2))
@@ -19,7 +19,7 @@ def test_identifiability_of_independent_keys() -> None:
 
 
 def test_identifiability_of_a_straight_line() -> None:
-    """Intercept a and slope b of a + b x in n points: variances of the textbook."""
+    """Intercept a and slope b of a + b x in n points have the variances of the textbook."""
     x = np.array([0.0, 1.0, 2.0, 5.0])
     known = identify(np.column_stack([np.ones(4), x]) / 0.1)
     spread = ((x - x.mean()) ** 2).sum()
@@ -50,7 +50,7 @@ def test_identifiability_with_fewer_numbers_than_keys() -> None:
 def test_identifiability_compares_with_a_value_known_by_its_range(
     influence: float, weak: bool
 ) -> None:
-    """A value of which only the range is known has a standard deviation of 1 / sqrt(12) of it."""
+    """A value known only by its range has the standard deviation of 1 / sqrt(12) of the range."""
     known = identify(np.array([[influence, 0.0], [0.0, 50.0]]))
     assert [*map(list, known.undetermined())] == ([[0]] if weak else [])
 

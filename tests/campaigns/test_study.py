@@ -1,4 +1,4 @@
-"""``mantle study``: its report and its files, over numbers that follow the laws of `stand_in`."""
+"""``mantle study``: report and files, by numbers that follow the laws of `stand_in`."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ FAST = ReferenceValue(2.0, 1e-6, None, NOT_CONVERGING)
 
 @pytest.fixture
 def file(bench: Bench) -> Path:
-    """A study beside its case and the stand-in."""
+    """A study in the folder of the case and the stand-in."""
     path = bench.folder / "study.yaml"
     path.write_text(STUDY)
     return path
@@ -114,7 +114,7 @@ def test_study_errors_orders_front_and_advice(file: Path, caplog: pytest.LogCapt
 
 
 def test_study_ignores_accidentally_accurate_runs() -> None:
-    """4, 1, 3 and 1.5 % in turn, where the reference is known to 1.2 %."""
+    """Errors are 4, 1, 3 and 1.5 %; the reference is known to 1.2 %."""
     runs = [
         SimpleNamespace(line="P2", key="mesh.size", label=f"{h} mm", time=t)
         for h, t in ((8, 1.0), (6, 2.0), (4, 4.0), (2, 8.0))
@@ -127,7 +127,7 @@ def test_study_ignores_accidentally_accurate_runs() -> None:
 
 
 def test_study_with_known_values_and_target(file: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Estimates are twice and eight times the true error; --set reaches every run."""
+    """Estimates are twice and eight times the true error. Overrides of --set apply to every run."""
     caplog.set_level(logging.INFO, "mantle")
     values = "{lower_upper.slip_p99: 40 um, lower_upper.pressure_p99: 5 MPa}"
     overrides = ["output.error=true", f"study.reference={{values: {values}}}", "study.target=0.05"]
@@ -142,7 +142,11 @@ def test_study_with_known_values_and_target(file: Path, caplog: pytest.LogCaptur
 
 
 def test_study_of_some_lines_and_quick_tier(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """By ``-k``, and the first two points of each line and of the reference; or only printed."""
+    """The option ``-k`` selects lines.
+
+    The quick tier has the first two points of each line and of the reference. A dry run only prints
+    them.
+    """
     options = ["study", str(file), "-o", str(file.parent / "out"), "--cores", "2", "-k", "P2"]
     assert main([*options, "--dry-run"]) == 0
     printed = capsys.readouterr().out
@@ -162,7 +166,9 @@ def test_study_shows_failed_points(file: Path, caplog: pytest.LogCaptureFixture)
     record, rows = read(out)
     failed = "failed (exit code 1)"
     assert [r["status"] for r in rows[:4]] == [failed, "done", "done", failed]
-    assert rows[0]["value"] == rows[0]["error [-]"] == rows[0]["time [s]"] == ""
+    assert rows[0]["value"] == ""
+    assert rows[0]["error [-]"] == ""
+    assert rows[0]["time [s]"] == ""
     assert record["runs"][0]["message"].endswith("the block slides away")
     assert re.search(r"P1 +mesh.size 4 mm +failed \(exit code 1\)", caplog.text)
     with pytest.raises(MantleError, match="every run of the study failed") as error:
@@ -175,7 +181,10 @@ def test_study_shows_failed_points(file: Path, caplog: pytest.LogCaptureFixture)
 
 
 def test_study_over_a_penalty(file: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Values of what has no error; one run as the reference; a picture over the penalty."""
+    """Quantities without an error have values only.
+
+    One run is the reference, and the picture is over the penalty.
+    """
     caplog.set_level(logging.INFO, "mantle")
     path, out = file.parent / "studies" / "penalty.yaml", file.parent / "out"
     path.parent.mkdir()
@@ -231,7 +240,10 @@ def test_study_picture_axes_over_decades_are_logarithmic(values: list[float], sc
 
 
 def test_study_picture_labels_do_not_overlap() -> None:
-    """Six points close together: each label stands free inside the frame, or is left out."""
+    """Six points are close together.
+
+    Each label is free of others inside the frame, or is left out.
+    """
     figure = figures.new(5, 4)
     axes = figure.subplots()
     at = [(1, 1), (1.02, 1), (1, 1.03), (1.5, 1), (0, 0), (2, 2)]
@@ -356,7 +368,7 @@ ELSEWHERE = {
 
 
 def test_study_of_real_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The patch test: 2 MPa on any mesh; and every quantity on offer is in a summary."""
+    """The patch test has 2 MPa on any mesh. Every quantity of the schema is in a summary."""
     rollers = """\
   base: {kind: roller, boundary: bottom, axis: z}
   left: {kind: roller, boundary: x_min, axis: x}

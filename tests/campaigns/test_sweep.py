@@ -1,4 +1,4 @@
-"""``mantle sweep``: who runs with whom, what is run again, its tables."""
+"""``mantle sweep``: groups of cases, repeated runs, tables."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ import contextlib
 import csv
 import json
 import logging
-import math
 import os
 import random
 import re
 import signal
-import statistics
 import subprocess
 import sys
 import threading
@@ -21,12 +19,11 @@ from typing import Any
 
 import pytest
 
-from app.campaigns import batch, sweep, uncertainty
+from app.campaigns import batch, sweep
 from app.campaigns.batch import Options
 from app.campaigns.runs import runs_of
 from app.case import sweep as sweep_file
 from app.case.case import PlannedRun, load, plain
-from app.case.points import Sobol, UncertainInputs
 from app.cli import main
 from app.foundation.errors import ConvergenceError, StoppedError, gravest
 from app.schema import yaml_file
@@ -46,7 +43,7 @@ def cases_of(folder: Path) -> list[dict[str, Any]]:
 def test_sweep_cases_share_processes_and_have_a_row_each(
     bench: Bench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Two moduli: two processes with four cases each, which are those of the sweep."""
+    """Two moduli give two processes with four cases each."""
     caplog.set_level(logging.INFO, "mantle")
     overrides = ["regions.upper.poisson_ratio=0.4", "output.error=true"]
     run(bench, *overrides)
@@ -103,7 +100,7 @@ def test_sweep_table_grows_while_cases_run(bench: Bench, monkeypatch: pytest.Mon
 
 @pytest.mark.parametrize("code", ["5", "1"])
 def test_sweep_interrupted_has_its_table_and_resumes(code: str, bench: Bench) -> None:
-    """Nothing is left running, and what is done is not run again.
+    """No process stays, and finished runs are not repeated.
 
     Python that is interrupted before it has started leaves with 1.
     """
@@ -189,7 +186,7 @@ def test_sweep_dry_run_estimates_time_on_cores(
     ranks: int,
     each: int,
 ) -> None:
-    """Eight cases of half a minute of one core, on two: two minutes and some idling at the end."""
+    """Eight cases of half a minute take two minutes on two cores, and some idle time."""
     caplog.set_level(logging.INFO, "mantle")
     monkeypatch.setattr(cost, "seconds", lambda case, alone: 30.0)
     sweep.run(bench.sweep, [f"ranks={ranks}"], Options(bench.out, 2, dry_run=True))
@@ -210,7 +207,7 @@ def shared_jobs(bench: Bench, number: int, ranks: int = 1) -> list[PlannedRun]:
     ("cores", "ranks", "sizes"), [(1, 1, [20]), (8, 2, [5] * 4), (64, 1, [1] * 20)]
 )
 def test_sweep_groups_use_all_cores(bench: Bench, cores: int, ranks: int, sizes: list[int]) -> None:
-    """Cases of one mesh share their matrices; what has begun stays where its state is."""
+    """Cases of one mesh share their matrices. A run that has begun resumes in the same group."""
     jobs = shared_jobs(bench, 20, ranks)
     runs = runs_of(jobs, bench.out, cores)
     assert list(Counter(r.process for r in runs).values()) == sizes
@@ -224,7 +221,7 @@ def test_sweep_groups_use_all_cores(bench: Bench, cores: int, ranks: int, sizes:
 
 @pytest.mark.parametrize("saved", ["checkpoint-3.state", "DONE"])
 def test_sweep_ignores_foreign_folders(bench: Bench, saved: str) -> None:
-    """A folder that somebody has left there is none of the runs, whatever its end is."""
+    """A folder that is not of the sweep is none of its runs, even if it has finished."""
     jobs = shared_jobs(bench, 2)
     expected = [r.path for r in runs_of(jobs, bench.out, 1)]
     for folder in expected:
@@ -257,9 +254,10 @@ sweep.run(Path(sys.argv[1]), (), Options(Path(sys.argv[2]), 2))
 
 
 def test_sweep_resumes_after_kills(bench: Bench) -> None:
-    """Killed at random moments it keeps what it has, and ends with everything done.
+    """A sweep killed at random moments keeps finished runs, and ends with all runs done.
 
-    Twice with all that it runs, as if the power failed, and once alone: what is left is waited for.
+    Two kills end all processes, like a power failure. One kill ends the sweep alone, and the sweep
+    waits for the remaining runs.
     """
     bench.tell(seconds="0.3")
 
@@ -292,101 +290,12 @@ def test_sweep_resumes_after_kills(bench: Bench) -> None:
     assert {c["status"] for c in cases_of(bench.out)} == {"converged"}
 
 
-def test_uncertainty_spread_and_cause_of_samples() -> None:
-    """A number that grows with one input and not with the other; ranks by hand."""
-    a, b = [0.1, 0.2, 0.3, 0.4, 0.5], [2, 5, 1, 4, 3]
-    rows = [
-        {
-            "part": "p",
-            "exit_code": 0,
-            "overrides": {"a": f"{x} mm", "b": y},
-            "numbers": {"stem.varus": 10 * x**3, "stem.retroversion": 1.0},
-        }
-        for x, y in zip(a, b, strict=True)
-    ]
-    failed = {"part": "p", "exit_code": 4, "overrides": {"a": "9 mm", "b": 9}, "numbers": {}}
-    spread = uncertainty.of_parts([*rows, failed], {"p": UncertainInputs(("a", "b"))})["p"]
-    assert spread["samples"] == 5
-    n = spread["numbers"]["stem.varus"]
-    assert n["mean"] == pytest.approx(0.45)
-    assert n["deviation"] == pytest.approx(statistics.stdev(10 * x**3 for x in a))
-    # Spearman: 1 - 6 sum d^2 / (n (n^2 - 1)), d = 1, 3, -2, 0, -2.
-    assert n["correlation"] == pytest.approx({"a": 1.0, "b": 1 - 6 * 18 / 120})
-    assert spread["numbers"]["stem.retroversion"]["correlation"] == {}
-    printed = uncertainty.table({"p": spread})
-    assert "a +1.00, b +0.10" in printed and "retroversion" not in printed
-
-
-def test_uncertainty_of_choices() -> None:
-    """Of ranks, 1.5 of 17.5 is left within three pairs, 16 within two triples; 3, 4 and 5 d.o.f."""
-    pairs = [{"kind": name} for name in "aabbcc"]
-    assert uncertainty.correlation([1, 2, 3, 4, 5, 60], pairs) == pytest.approx((6 / 7) ** 0.5)
-    assert uncertainty.correlation([1, 3, 5, 2, 4, 6], [*"xxxyyy"]) == 0.0
-    assert uncertainty.correlation([1, 2, 3], [*"abc"]) is None
-    assert uncertainty.correlation([1, 2, 3, 4], ["1 m", "10 mm", "10 mm", "1 m"]) == 0.0
-
-
-def ishigami(samples: int) -> tuple[list[dict[str, Any]], UncertainInputs]:
-    """Rows of a sweep whose number is Ishigami's function, sin x + 7 sin^2 y + 0.1 z^4 sin x."""
-    inputs = {key: {"low": -math.pi, "high": math.pi} for key in "xyz"}
-    design = Sobol.model_validate({"samples": samples, "inputs": inputs})
-    rows = []
-    for changes in design.draw().values():
-        x, y, z = (float(str(changes[key])) for key in "xyz")
-        number = math.sin(x) + 7 * math.sin(y) ** 2 + 0.1 * z**4 * math.sin(x)
-        numbers = {"stem.varus": number, "stem.retroversion": 2.0}
-        rows.append({"part": "", "exit_code": 0, "overrides": changes, "numbers": numbers})
-    return rows, UncertainInputs(("x", "y", "z"), sobol=True)
-
-
-def test_uncertainty_sobol_indices_of_a_known_function() -> None:
-    """Of Ishigami's function (1990): first 0.314, 0.442, 0; total 0.558, 0.442, 0.244."""
-    rows, samples = ishigami(1024)
-    assert len(rows) == 1024 * 5
-    spread = uncertainty.of_parts(rows, {"": samples})[""]
-    assert (spread["samples"], spread["base_samples"]) == (2048, 1024)
-    expected = {"x": (0.3139, 0.5576), "y": (0.4424, 0.4424), "z": (0.0, 0.2437)}
-    indices = spread["indices"]["stem.varus"]
-    assert {*spread["indices"]} == {"stem.varus"}  # a number that does not vary has none
-    for key, (first, total) in expected.items():
-        assert indices[key]["first"][0] == pytest.approx(first, abs=0.03)
-        assert indices[key]["total"][0] == pytest.approx(total, abs=0.03)
-        for value, low, high in indices[key].values():
-            assert low < value < high
-    printed = uncertainty.table({"": spread})
-    assert "Sobol' indices of 1024 base samples" in printed
-    assert [row[1] for row in uncertainty.index_rows(spread)] == ["x", "y", "z"]
-
-
-def test_uncertainty_sobol_indices_without_failed_runs() -> None:
-    """A failed run takes its base sample away; the largest power of two of the others is used."""
-    rows, samples = ishigami(32)
-    rows[7]["exit_code"] = 4
-    spread = uncertainty.of_parts(rows, {"": samples})[""]
-    assert spread["base_samples"] == 16
-    for row in rows[: 5 * 25]:
-        row["exit_code"] = 4
-    assert "indices" not in uncertainty.of_parts(rows, {"": samples})[""]
-
-
-def test_uncertainty_partial_rank_correlation() -> None:
-    """Of three ranked columns: (r_xy - r_xz r_yz) / sqrt((1 - r_xz^2) (1 - r_yz^2))."""
-    y, x, z = [1, 2, 3, 5, 4, 6], [2, 1, 3, 4, 6, 5], [3, 1, 2, 6, 5, 4]
-    xy, xz, yz = (
-        1 - 6 * sum((a - b) ** 2 for a, b in zip(*p, strict=True)) / 210
-        for p in ((x, y), (x, z), (y, z))
-    )
-    expected = (xy - xz * yz) / math.sqrt((1 - xz**2) * (1 - yz**2))
-    correlations = uncertainty.partial_correlations(y, {"x": [f"{v} mm" for v in x], "z": z})
-    assert correlations["x"] == pytest.approx(expected)
-    assert uncertainty.partial_correlations(y, {"x": x}) == {}
-    assert uncertainty.partial_correlations(y, {"x": x, "z": x}) == {}
-    assert uncertainty.partial_correlations(y, {"x": x, "name": [*"aabbcc"]}) == {}
-
-
 @pytest.mark.slow
 def test_sweep_shipped_for_learning(tmp_path: Path) -> None:
-    """As shipped, but on a coarse mesh: friction holds the stem back, the mantle's modulus less."""
+    """The shipped sweep has a coarse mesh here. Shear stress grows with friction.
+
+    The modulus of the mantle matters less.
+    """
     path = support.ROOT / "configs" / "sweeps" / "friction_cylinders.yaml"
     overrides = ["mesh.size=6 mm", "mesh.far_size=6 mm", "mesh.order=1", "stages.1.increments=1"]
     sweep.run(path, overrides, Options(tmp_path, 2))

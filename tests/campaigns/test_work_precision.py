@@ -1,4 +1,4 @@
-"""Extrapolation, orders, fronts, advice and effectivity, against values worked out by hand."""
+"""Extrapolation, orders, fronts, advice and effectivity, against values by hand."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from app.campaigns.work_precision import ErrorPoint, ReferenceValue
 def test_work_precision_extrapolates_a_power_law_exactly(
     order: float, sizes: tuple[float, ...]
 ) -> None:
-    """f = 7 - 0.3 h^p, whatever the ratios of the sizes; earlier runs do not matter."""
+    """The law f = 7 - 0.3 h^p is exact for any ratios of sizes. Earlier runs do not matter."""
     values = [7 - 0.3 * h**order for h in sizes]
     limit = wp.extrapolate([9.0, *sizes], [123.0, *values])
     assert limit.value == pytest.approx(7, abs=1e-9)
@@ -36,7 +36,7 @@ def test_work_precision_extrapolates_a_power_law_exactly(
 def test_work_precision_finest_run_without_an_order(
     values: list[float], tolerance: float, uncertainty: float, method: str
 ) -> None:
-    """With the larger of the last two differences."""
+    """The error is the larger of the last two differences."""
     limit = wp.extrapolate([4.0, 2.0, 1.0][: len(values)], values, 2.0, tolerance)
     assert (limit.value, limit.order, limit.method) == (values[-1], None, method)
     assert limit.uncertainty == pytest.approx(uncertainty, abs=1e-12)
@@ -67,7 +67,7 @@ def test_work_precision_error_and_reliability() -> None:
 
 
 def test_work_precision_exponent() -> None:
-    """Least squares over the points that mean something: 0.1 h^2 here."""
+    """Least squares over the points above the noise give 0.1 h^2."""
     sizes = [1.0, 0.5, 0.25]
     line = [point(0.1 * h**2) for h in sizes]
     assert wp.exponent(sizes, line) == pytest.approx(2)
@@ -97,7 +97,7 @@ def test_work_precision_best() -> None:
 
 
 def test_work_precision_effectivity() -> None:
-    """Estimates for a true 0.1."""
+    """Estimates are compared with a true error of 0.1."""
     points = [point(0.05, estimate=e) for e in (0.04, 0.051, 0.299, 0.31)]
     assert [p.effectivity for p in points] == pytest.approx([0.4, 0.51, 2.99, 3.1])
     # Not judged: no estimate; near the reference's error; near the algebraic error.

@@ -1,4 +1,4 @@
-"""Heat in a case: units, defaults, and the terms that it becomes."""
+"""Heat in a case: units, defaults, and its terms in the scene."""
 
 from __future__ import annotations
 
@@ -76,7 +76,10 @@ def test_case_heat_refuses_wrong_temperatures(text: str) -> None:
 
 
 def test_case_heat_conductors() -> None:
-    """rho c 1e6 J/(m^3 K) is 1 N/(mm^2 K); a bone of two conductivities has a fibre."""
+    """A heat capacity of 1e6 J/(m^3 K) is 1 N/(mm^2 K).
+
+    Bone with two conductivities has a fibre.
+    """
     stem, cement, bone = build().conductors
     assert (stem.region, stem.conductivities, stem.fibre) == ("stem", (14.8,), None)
     assert stem.capacity == pytest.approx(3.735)
@@ -95,7 +98,8 @@ def test_case_heat_conducts_along_the_fibre() -> None:
         "initial_temperature: 37 degC}}"
     )
     scene = build(f"regions.bone={bone}")
-    assert scene.conductors[2].fibre == scene.elastic[1].fibre == Straight(axis=[1, 0, 0])
+    assert scene.conductors[2].fibre == Straight(axis=[1, 0, 0])
+    assert scene.elastic[1].fibre == Straight(axis=[1, 0, 0])
 
 
 def test_case_heat_conditions() -> None:
@@ -133,7 +137,7 @@ def test_case_heat_interfaces() -> None:
 
 
 def test_case_heat_of_friction_is_shared_by_effusivity() -> None:
-    """sqrt(k rho c) of cement is 590, of cobalt-chromium 7435 W s^1/2/(m^2 K): 7 %.
+    """The effusivity of cement is 590, of cobalt-chromium 7435 W s^1/2/(m^2 K): a share of 7 %.
 
     A fibrous region has its mean conductivity.
     """
@@ -150,7 +154,7 @@ def test_case_heat_of_friction_is_shared_by_effusivity() -> None:
 
 
 def test_case_heat_share_is_that_of_the_first_side() -> None:
-    """The first side of stem_cement is the master, of cement_bone the slave."""
+    """The first side of stem_cement is the master, the first side of cement_bone the slave."""
     sliding = "{kind: contact, friction_coefficient: 1, friction_heating: 0.3}"
     a, b = build(
         "interfaces.stem_cement.friction_heating=0.3", f"interfaces.cement_bone={sliding}"
@@ -225,7 +229,7 @@ def test_case_heat_hot_case_is_that_of_the_paper() -> None:
 
 
 def test_case_heat_cure_cases_have_equal_materials() -> None:
-    """And with the reference values of verification: an adiabatic rise of 89.0805 K."""
+    """The materials equal the reference values of verification: an adiabatic rise of 89.0805 K."""
     cure, residual, hot = (
         build_scene(load(support.CONFIGS / f"{n}.yaml").config)
         for n in ("cure", "residual", "thermal_100C")

@@ -1,4 +1,4 @@
-"""Texts of ``mantle explain``: the words that an engineer types, keys, units."""
+"""Texts of ``mantle explain`` for words that engineers type, for keys and for units."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def library_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("word", WORDS)
-def test_explanation_of_a_word_begins_with_its_key_or_number(word: str) -> None:
+def test_explanations_of_a_word_begins_with_its_key_or_number(word: str) -> None:
     text = explanations.explained(word, options_of_commands())
     first = " ".join(text.splitlines()[0].split()) + " "
     assert first.startswith(WORDS[word])
@@ -81,7 +81,7 @@ def test_explanation_of_a_word_begins_with_its_key_or_number(word: str) -> None:
 
 
 @pytest.mark.parametrize("word", explanations.WORDS)
-def test_explanation_of_every_listed_word_finds_all_its_targets(word: str) -> None:
+def test_explanations_of_every_listed_word_finds_all_its_targets(word: str) -> None:
     options = options_of_commands()
     text = explanations.explained(word, options)
     for target in explanations.WORDS[word]:
@@ -90,32 +90,32 @@ def test_explanation_of_every_listed_word_finds_all_its_targets(word: str) -> No
         assert first.splitlines()[0] in text
 
 
-def test_explanation_of_a_word_of_a_meaning_lists_the_keys() -> None:
+def test_explanations_of_a_word_of_a_meaning_lists_the_keys() -> None:
     assert explanations.explained("Pennes").split()[:2] == ["heat.<name>:", "perfusion"]
     with pytest.raises(InputError, match="is not a key, kind, result or term of mantle; nearest: "):
         explanations.explained("xyzzy")
 
 
-def test_explanation_of_a_phrase_has_all_its_words() -> None:
+def test_explanations_of_a_phrase_has_all_its_words() -> None:
     """The glossary has no term `law of contact`, but one with both words."""
     text = explanations.explained("law of contact")
     assert text.startswith("  contact law: ")
     assert "regions.<name>.youngs_modulus.law" not in text
 
 
-def test_explanation_of_a_phrase_falls_back_to_one_of_its_words() -> None:
+def test_explanations_of_a_phrase_falls_back_to_one_of_its_words() -> None:
     for phrase in ("xyzzy subsidence", "subsidence xyzzy"):
         assert explanations.explained(phrase) == explanations.explained("subsidence")
     with pytest.raises(InputError, match="xyzzy yzzyx: is not a key, kind, result or term"):
         explanations.explained("xyzzy yzzyx")
 
 
-def test_explanation_of_the_end_of_a_path_is_that_of_the_path() -> None:
+def test_explanations_of_the_end_of_a_path_is_that_of_the_path() -> None:
     for end in ("canal.isthmus", "isthmus"):
         assert explanations.explained(end) == explanations.explained("geometry.canal.isthmus")
 
 
-def test_explanation_of_every_key_has_value_or_kinds() -> None:
+def test_explanations_of_every_key_has_value_or_kinds() -> None:
     for section in keys.sections():
         for key in section.keys:
             text = explanations.explained(key.path)
@@ -124,13 +124,13 @@ def test_explanation_of_every_key_has_value_or_kinds() -> None:
             assert max(map(len, text.splitlines())) <= 100
 
 
-def test_explanation_of_units_lists_their_keys() -> None:
+def test_explanations_of_units_lists_their_keys() -> None:
     lines = explanations.explained("units").splitlines()
     assert any(line.split()[:2] == ["MPa", "youngs_modulus,"] for line in lines)
     assert explanations.explained("unit") == explanations.explained("units")
 
 
-def test_explanation_of_units_has_those_of_results_and_of_keys() -> None:
+def test_explanations_of_units_has_those_of_results_and_of_keys() -> None:
     results, key_units = explanations.explained("units").split("\n\n")
     units_of_results = {line[2:16].strip() for line in results.splitlines()[1:]}
     units_of_tables = set()
@@ -142,7 +142,7 @@ def test_explanation_of_units_has_those_of_results_and_of_keys() -> None:
     assert any("conductance" in line and "mW" in line for line in key_units.splitlines())
 
 
-def test_explanation_of_a_command_has_its_options_in_their_block() -> None:
+def test_explanations_of_a_command_has_its_options_in_their_block() -> None:
     options = options_of_commands()
     section, *others, last = explanations.explained("mesh", options).split("\n\n")
     assert section.startswith("mesh\n")

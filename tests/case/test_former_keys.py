@@ -1,4 +1,4 @@
-"""Versions of case files; former names of keys, read with a note for each."""
+"""Versions of case files, and former names of keys, which are read with a note."""
 
 from __future__ import annotations
 
@@ -81,11 +81,12 @@ def test_former_keys_files_of_each_version_keep_their_answers(version: str, tmp_
 
 
 def test_former_keys_version_of_a_case_is_written(tmp_path: Path) -> None:
-    """A file without a version is of the first; what a run writes says its version."""
+    """A file without a version is of the first version; a run writes its version."""
     case = tmp_path / "case.yaml"
     case.write_text("base: blocks\n")
     config = mantle.load(case).config
-    assert config.mantle == former_keys.VERSION == Case.model_fields["mantle"].default
+    assert config.mantle == Case.model_fields["mantle"].default
+    assert former_keys.VERSION == Case.model_fields["mantle"].default
     assert dump(config).startswith("mantle: 1\n")
     for path in (CONFIGS / "start").iterdir():
         assert "\nmantle: 1 " in path.read_text(encoding="utf-8"), path.name
@@ -100,7 +101,7 @@ def test_former_keys_version_of_a_case_is_written(tmp_path: Path) -> None:
     ],
 )
 def test_former_keys_unknown_versions_are_refused(line: str, words: str, tmp_path: Path) -> None:
-    """With nothing but the version: the keys of a newer file are not this program's."""
+    """The version is the only error, because a newer file may have other keys."""
     below, above = tmp_path / "below.yaml", tmp_path / "above.yaml"
     below.write_text(f"title: newer\n{line}\nbodies: {{}}\n")
     above.write_text("base: below.yaml\n")

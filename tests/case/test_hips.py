@@ -1,4 +1,4 @@
-"""Keys of a hip without cement: what a case says, and what is refused."""
+"""Keys of a hip without cement: accepted and refused ones."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_hips_heights_on_the_stem_begin_at_its_tip() -> None:
 
 @pytest.mark.parametrize(("zone", "is_refused"), [("above: 300 mm", True), ("above: 30 mm", False)])
 def test_hips_refuse_zones_that_cover_nothing_of_the_stem(zone: str, is_refused: bool) -> None:
-    """A coating from 300 mm on a stem of 147 mm is a typing error."""
+    """A coating from 300 mm on a stem of 147 mm is an error."""
     option = f"interfaces.stem_bone.zones={{coated: {{{zone}}}}}"
     if is_refused:
         (line,) = refused(option, path=CONFIGS / "pressed.yaml")
@@ -114,7 +114,7 @@ def test_hips_refuse_zones_that_cover_nothing_of_the_stem(zone: str, is_refused:
     ],
 )
 def test_hips_refuse_heights_off_the_stem(key: str, value: str, text: str) -> None:
-    """The coordinate z of the model in place of the height above the tip."""
+    """The coordinate z of the model is given in place of the height above the tip."""
     messages = refused(f"interfaces.stem_bone.{key}={value}", path=CONFIGS / "pressed.yaml")
     expected = f"{text} the stem; expected heights from 0 to 147 mm above its tip"
     assert any(re.search(expected, message) for message in messages)
@@ -123,7 +123,7 @@ def test_hips_refuse_heights_off_the_stem(key: str, value: str, text: str) -> No
 
 
 def test_hips_refuse_a_zone_with_the_name_of_a_part() -> None:
-    """Numbers of the zone would stand under the name of the rim."""
+    """Numbers of the zone would have the names of those of the rim."""
     change = "interfaces.stem_bone.zones={rim: {above: 80 mm, friction_coefficient: 0.6}}"
     (line,) = refused(change, path=CONFIGS / "pressed.yaml")
     assert "zones.rim: results have a part 'rim' of each interface; choose another name" in line

@@ -118,7 +118,7 @@ Blocks = Callable[[Floats], NDArray[np.bool_]]
 
 
 def box(blocks: dict[str, Any], size: Sequence[float], cells: Sequence[int]) -> MeshData:
-    """A box of blocks, each of its cubes in six tetrahedra about a diagonal."""
+    """A box of blocks. Each cube is six tetrahedra about a diagonal."""
     axes = [np.linspace(0, s, n + 1) for s, n in zip(size, cells, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     shape = [n + 1 for n in cells]

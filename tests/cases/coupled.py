@@ -1,4 +1,4 @@
-"""Heat and contact that depend on each other, solved with the model of the application."""
+"""Heat and contact that depend on each other, solved by the model of the application."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Coupled:
         return solver
 
     def state(self) -> dict[str, Floats]:
-        """Blocks of the last state."""
+        """Blocks of unknowns of the last state."""
         blocks = dict(self.model.mechanics.solver.blocks_by_name())
         blocks |= self.model.thermal.heating.solver.blocks_by_name()
         return {name: v.array.copy() for name, v in blocks.items()}

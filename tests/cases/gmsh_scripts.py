@@ -1,4 +1,4 @@
-"""A gmsh script of two layers, and a case of it."""
+"""A gmsh script of two layers, and a case with it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ loads: {press: {kind: pressure, boundary: top, pressure: 1 MPa}}
 
 
 def script(tmp_path: Path, text: str) -> Path:
-    """A script, and a case of it."""
+    """A script, and a case with it."""
     (tmp_path / "case.yaml").write_text(CASE)
     path = tmp_path / "a.geo"
     path.write_text(text)

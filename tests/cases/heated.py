@@ -77,7 +77,7 @@ class Heated:
 
     @classmethod
     def make(cls, text: str, change: Callable[[Scene], Scene], *overrides: str) -> Heated:
-        """A case, its scene changed."""
+        """A case, and a change of its scene."""
         case = support.case(text, *overrides)
         settings = SolverSettings(1e-12, 50, "direct", augmentation_factor=1.0)
         analysis = assemble(change(build_scene(case)), support.mesh(case), settings)
@@ -100,12 +100,12 @@ class Heated:
         return self.step()
 
     def set(self, degree: float | Field, strain: float | Field, *regions: str) -> None:
-        """Say how far regions have set, and what free strain they have."""
+        """Set the degree of cure and the free strain of regions."""
         scalars = (self.scalar(degree), self.scalar(strain))
         self.problem.stress_history.set(*({r: f for r in regions} for f in scalars))
 
     def step(self) -> ContactSamples | None:
-        """Solve, commit, balance."""
+        """Solve, commit, and compute the balances."""
         self.problem.update_stiffness()
         outcome = solve(self.solver)
         assert outcome.converged, outcome.residuals

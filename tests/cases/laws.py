@@ -1,4 +1,4 @@
-"""Laws of heat by their values, without units and checks, as a scene has them."""
+"""Laws of heat by their values, without units and checks, for scenes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def expansion(region: str, coefficient: float, reference: float) -> Thermal:
 def temperature(
     name: str, values: Values, time_course: Any = None, **where: Any
 ) -> FixedTemperature:
-    """Given on a `boundary` or in `regions`."""
+    """A given temperature on a `boundary` or in `regions`."""
     return FixedTemperature.model_construct(
         **where, temperature=values, time_course=time_course
     ).named(name)
@@ -99,7 +99,7 @@ BALIGA = Autocatalytic.model_construct(
 
 
 def compliance(E_l: float, E_t: float, ν_l: float, ν_t: float, μ_l: float) -> Floats:
-    """Compliance in Mandel's notation, fibre along z, from the meaning of the constants."""
+    """Compliance in Mandel's notation by the definition of the constants; the fibre is along z."""
     S = np.zeros((6, 6))
     S[:3, :3] = [
         [1 / E_t, -ν_t / E_t, -ν_l / E_l],

@@ -64,9 +64,9 @@ def scene(
     turn: int = 0,
     order: int = 1,
 ) -> dict[str, Any]:
-    """Blocks in a smooth box under pressure; interfaces take the laws in turn.
+    """Blocks in a frictionless box under pressure. Interfaces take the laws in turn.
 
-    The order of the interfaces is turned by some places.
+    The order of the interfaces is shifted by some places.
     """
     data = box(blocks, size, cells)
     write_msh(data, folder / "blocks.msh")
@@ -94,7 +94,7 @@ def scene(
 
 
 def press_on_all_sides(text: dict[str, Any]) -> None:
-    """Press a scene with the same pressure on all sides, three of which are on rollers."""
+    """Press a scene with the same pressure on all sides. Three sides are on rollers."""
     text["supports"] = {name: text["supports"][name] for name in ("x0", "y0", "z0")}
     text["loads"] = {
         name: {"kind": "pressure", "boundary": name, "pressure": f"{PRESSURE} MPa"}

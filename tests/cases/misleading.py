@@ -1,4 +1,4 @@
-"""A received folder whose files would be executed where somebody is careless."""
+"""A folder with files named like Python modules and settings, which a run must not execute."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ numpy.py sitecustomize.py snakemake.py socket.py
 
 
 def mislead(folder: Path) -> None:
-    """Put such files into a folder, with a case, blocks.yaml, and a sweep of it on two ranks."""
+    """Write such files into a folder, with a case, blocks.yaml, and a sweep of it on two ranks."""
     for name, text in OPTIONS.items():
         (folder / name).write_text(text)
     for name in MODULES:

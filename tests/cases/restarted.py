@@ -1,4 +1,4 @@
-"""Runs that are interrupted after every step and go on, and what their numbers differ by."""
+"""Runs that are interrupted after every step and continued, and comparison of their numbers."""
 
 from __future__ import annotations
 
@@ -76,13 +76,13 @@ NOTHING = 1e-9
 
 
 def numbers(folder: Path) -> dict[str, Any]:
-    """The numbers of a run by dotted key; places of maxima, which may be several, left out."""
+    """The numbers of a run by dotted key, without places of maxima, which may be ambiguous."""
     kept = {k: v for k, v in support.summary(folder).items() if k not in APART}
     return {k: v for k, v in frozen.leaves(kept, "") if "_at." not in f"{k}."}
 
 
 def rows(folder: Path) -> list[list[str]]:
-    """The table of a run without what is of the clock, and how the equations were solved."""
+    """The table of a run without times and without the course of the solver."""
     lines = [line.split(",") for line in (folder / "history.csv").read_text().splitlines()]
     apart = [k for k, name in enumerate(lines[0]) if name.rpartition(" [")[0].endswith(WAY)]
     return [[v for k, v in enumerate(line) if k not in apart] for line in lines]
@@ -91,7 +91,7 @@ def rows(folder: Path) -> list[list[str]]:
 def assert_same(
     one: Path, other: Path, relative: float = NUMBERS, nothing: float = NOTHING
 ) -> None:
-    """Two runs have the same numbers, and the same tables, to the tolerance of the solver."""
+    """Two runs have the same numbers and tables to the tolerance of the solver."""
     a, b = numbers(one), numbers(other)
     assert a == pytest.approx(b, rel=relative, abs=nothing)
     (names, *table), (others, *again) = rows(one), rows(other)
@@ -102,7 +102,7 @@ def assert_same(
 
 
 def whole(text: str, folder: Path, *overrides: str) -> tuple[Path, list[Path]]:
-    """Run a case to its end; its case file and a checkpoint after every step."""
+    """A complete run, with its case file and a checkpoint after every step."""
     path = folder / "case.yaml"
     path.write_text(text)
     options = [*overrides, "output.checkpoint.steps=1"]

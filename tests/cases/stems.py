@@ -1,4 +1,4 @@
-"""Stems in cement and bone, and a peg in its socket: cases that several tests solve."""
+"""Stems in cement and bone, and a peg in its socket, for several tests."""
 
 from __future__ import annotations
 

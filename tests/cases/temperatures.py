@@ -35,7 +35,7 @@ def two_blocks(comm: MPI.Comm) -> TaggedMesh:
 
 
 class Play:
-    """Plays temperatures in degC, functions of place (n, 3) and time, to a record."""
+    """Gives temperatures in degC, functions of place (n, 3) and time, to a record."""
 
     def __init__(
         self, tagged: TaggedMesh, bone: State, cement: State, **probes: ProbePoint

@@ -1,4 +1,4 @@
-"""A head that rotates in its cup as prescribed, by finite sliding."""
+"""A head that rotates in its cup by prescribed angles, with finite sliding."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def cycle_table(column: str, rows: Sequence[Sequence[float]]) -> list[str]:
 
 
 def turning(*angles: tuple[float, float, float], axes: str = "yxz", **more: str) -> str:
-    """An override: the head turns through angles about x, y, z [deg], at equal times."""
+    """Override by which the head turns through angles about x, y, z [deg] at equal times."""
     keys = "".join(f", {key}: {value}" for key, value in more.items())
     rotation = (
         f"rotation: {{axes: {axes}, cycle_table: {cycle_table('rotation {} [deg]', angles)}}}"
@@ -50,7 +50,7 @@ def turning(*angles: tuple[float, float, float], axes: str = "yxz", **more: str)
 
 
 def stages(increments: int, cycles: int = 1, press: int = 1) -> str:
-    """An override: a stage that presses the head in, and one in which it turns."""
+    """Override for two stages: the head is pressed in, then turned."""
     first = f"{{name: press, increments: {press}}}, " if press else ""
     return f"stages=[{first}{{name: turn, increments: {increments}, cycles: {cycles}}}]"
 
@@ -61,7 +61,7 @@ SWING = turning((0, 0, 0), (0, 25, 0), (0, 0, 0), (0, -25, 0), (0, 0, 0), larges
 
 
 class Step(NamedTuple):
-    """A step of a turn, of n points."""
+    """A step of a rotation, with n points."""
 
     iterations: int
     load: Floats  # normal forces of the points (n,) [N]
@@ -74,7 +74,7 @@ class Step(NamedTuple):
 
     @property
     def spends(self) -> float:
-        """Work of the torque in the turn [N mm]."""
+        """Work of the torque in the step [N mm]."""
         return float(-self.torque @ self.turn)
 
 

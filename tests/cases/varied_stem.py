@@ -1,4 +1,4 @@
-"""A stem that is solved several times in one process, each time with other interfaces or loads."""
+"""A stem that is solved several times in one process with other interfaces or loads."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ solver: {tolerance: 1.0e-12}
 
 
 class Runs:
-    """Models one after another that share what they can."""
+    """Models one after another that share matrices."""
 
     def __init__(self) -> None:
         self.last: Model | None = None

@@ -1,4 +1,4 @@
-"""A ball that turns to and fro in its cup: wear, torque and friction heat of a cycle."""
+"""A ball that oscillates in its cup: wear, torque and friction heat of a cycle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gmsh scripts are programs: they run only where the user allows it (`--allow-scripts`)."""
+"""Gmsh scripts are programs, so they run only with `--allow-scripts`."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_allow_scripts_runs_scripts_only_if_allowed(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """No list of words tells what is harmless: in single quotes gmsh runs another script too."""
+    """A list of forbidden words would not suffice: gmsh also runs scripts in single quotes."""
     monkeypatch.chdir(tmp_path)
     script(tmp_path, f"{LAYERS}Merge 'other.geo';\n")
     Path("other.geo").write_text('SystemCall "touch PWNED";\n')
@@ -46,7 +46,7 @@ def test_allow_scripts_runs_scripts_only_if_allowed(
 
 
 def test_allow_scripts_runs_a_trusted_script(tmp_path: Path) -> None:
-    """By a case of a sweep: what is allowed on the command line holds for all that it starts."""
+    """A sweep runs the script in its cases, because the option applies to all of its runs."""
     script(tmp_path, LAYERS)
     (tmp_path / "sweep.yaml").write_text(
         "base: case.yaml\nset: {output.fields: false}\ngrid: {mesh.size: [0.5 mm]}\n"
@@ -57,7 +57,7 @@ def test_allow_scripts_runs_a_trusted_script(tmp_path: Path) -> None:
 
 
 def test_allow_scripts_always_runs_shipped_scripts(tmp_path: Path) -> None:
-    """By their place: a link to another is none of them."""
+    """Shipped scripts are known by their place. A link to another script is refused."""
     case = CONFIGS / "verification" / "cook.yaml"
     assert load(case).config.geometry.region_names
     script(tmp_path, LAYERS)
@@ -72,7 +72,7 @@ def test_allow_scripts_always_runs_shipped_scripts(tmp_path: Path) -> None:
 def test_allow_scripts_ignores_options_next_to_a_mesh(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """gmsh would run them: it never sees them."""
+    """Gmsh would execute an options file next to a mesh, so it does not get the file."""
     monkeypatch.setenv(ALLOWED, "1")
     script(tmp_path, LAYERS)
     (tmp_path / "a.geo.opt").write_text('Error("the options were run");')

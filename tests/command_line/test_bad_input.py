@@ -1,6 +1,6 @@
-"""Everything a user can get wrong in a case file, with the line, column and words that tell it.
+"""Errors in case files, with line, column and message.
 
-``bad_input.yaml`` edits good cases and has every expected complaint, and no other.
+``bad_input.yaml`` edits good cases and lists every expected message, and no other.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def test_bad_input_thin_block_is_named() -> None:
 def test_bad_input_found_by_the_mesher_has_its_place(
     path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A stem that is too wide: where bone is, is known to the mesher."""
+    """The stem is too wide. Only the mesher knows the place of the bone."""
     text = TABLE["femur"]["case"]
     path.write_text(text.replace("kind: femur}", "kind: femur,\n  stem: {half_width: 14 mm}}"))
     assert main(["check", str(path), "--mesh"]) == 3
@@ -111,7 +111,7 @@ def test_bad_input_found_by_the_mesher_has_its_place(
     "wrong", ["stem: {length: 250 mm}", "stem: {legth: 147 mm}", "neck_angle: 2"]
 )
 def test_bad_input_wrong_geometry_is_the_only_error(wrong: str, path: Path) -> None:
-    """Which points it would name is not known: that loads act there is no error."""
+    """A load at a point of an invalid geometry causes no second error."""
     text = (CONFIGS / "stance.yaml").read_text()
     path.write_text(text.replace("  kind: femur\n", f"  kind: femur\n  {wrong}\n"))
     assert ["geometry." in m for m in complaints(path)] == [True]
@@ -269,7 +269,7 @@ def test_bad_input_under_mpirun_is_printed_by_one_rank(path: Path) -> None:
 def test_bad_input_folder_in_place_of_a_result_is_named(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Before anything is solved, also for variations."""
+    """The error comes before the solve, also for variations."""
     way = tmp_path / name
     way.mkdir()
     case = str(CONFIGS / "blocks.yaml")
@@ -294,7 +294,7 @@ def test_bad_input_read_only_folder_is_named(
 def test_bad_input_killed_run_names_the_restart_option(
     left: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Also where it was one of variations; each minute a checkpoint is written by default."""
+    """Variations behave the same. A checkpoint is written each minute by default."""
     (tmp_path / left).parent.mkdir(exist_ok=True)
     (tmp_path / left).touch()
     case = CONFIGS / "blocks.yaml"

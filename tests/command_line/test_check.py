@@ -1,25 +1,20 @@
-"""``mantle check`` and the other commands that need no solver; how the command line fails."""
+"""``mantle check`` needs neither solver nor mesher; its notes on cases."""
 
 from __future__ import annotations
 
-import os
 import re
 import resource
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 import mantle
-from app import cli
 from app.case.case import load
 from app.cli import main
-from app.foundation.errors import ConvergenceError, InputError
+from app.foundation.errors import InputError
 from app.soundness import preview
-from app.system import ranks
 from tests import support
-from tests.support import CONFIGS, ROOT
+from tests.support import CONFIGS
 
 CHECK = """
 import sys
@@ -31,7 +26,7 @@ print("loaded:", heavy & sys.modules.keys())
 
 
 def test_check_imports_neither_solver_nor_mesher() -> None:
-    """Processor time, which on an idle machine is the wall time: others may be busy here."""
+    """Processor time is measured, because the machine may be busy."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert support.python("-c", CHECK).stdout.splitlines()[-1] == "loaded: set()"
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -214,52 +209,6 @@ def test_check_notes_locking(region: str, locks: bool) -> None:
     assert preview.input_notes(second) == []
 
 
-def test_mesh_command_writes_mesh_and_picture(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    pytest.importorskip("gmsh")
-    case = str(CONFIGS / "blocks.yaml")
-    coarse = ["--set", "mesh.size=5 mm"]
-    assert main(["mesh", case, "-o", str(tmp_path / "new" / "folder"), *coarse]) == 0
-    out = capsys.readouterr().out.splitlines()
-    assert [Path(line).name for line in out[:2]] == ["blocks.msh", "blocks.png"]
-    assert all(Path(line).stat().st_size > 1000 for line in out[:2])
-    # The written file is a valid geometry.
-    given = tmp_path / "again.yaml"
-    given.write_text(
-        f"geometry: {{kind: file, path: {out[0]}, "
-        "interfaces: {joint: [bone, cement], other: [cement, metal]}}\n"
-        "mesh: {order: 1, size: 5 mm}\n"
-        "supports: {base: {kind: fixed, boundary: bottom}}\nregions:\n"
-        + "".join(
-            f"  {n}: {{youngs_modulus: 1 GPa, poisson_ratio: 0, tissue: other}}\n"
-            for n in ("bone", "cement", "metal")
-        )
-    )
-    assert main(["check", str(given), "--mesh"]) == 0
-    out = capsys.readouterr().out
-    assert "joint 100" in out and "estimated" not in out
-    assert main(["mesh", case, "-o", str(given / "below"), *coarse]) == 2
-    assert "a folder above it is a file" in capsys.readouterr().err
-
-
-def test_mesh_command_draws_the_cement_mantle(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    pytest.importorskip("gmsh")
-    sizes = ["--set", "mesh.size=10 mm", "--set", "mesh.around=8"]
-    assert main(["mesh", str(CONFIGS / "stance.yaml"), "-o", str(tmp_path), *sizes]) == 0
-    out = capsys.readouterr().out.splitlines()
-    assert [Path(line).name for line in out[:4]] == [
-        *("stance.msh", "stance.png", "stance_sections.png", "stance_interfaces.png")
-    ]
-    for line in out[1:4]:
-        assert Path(line).read_bytes().startswith(b"\x89PNG")
-    drawn = tmp_path / "check" / "stance.png"
-    assert main(["check", str(CONFIGS / "stance.yaml"), "-o", str(drawn.parent), *sizes]) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == str(drawn) and drawn.exists()
-
-
 def test_check_accepts_a_press_fit_by_penalty() -> None:
     gap = "interfaces.stem_cement={kind: penalty, friction_coefficient: 0, penalty: 1 GPa/mm, gap: "
     still = [
@@ -286,76 +235,6 @@ def test_check_finds_that_a_press_fit_alone_acts_on_the_model(press_fit: str) ->
 
 
 @pytest.mark.parametrize(
-    ("command", "reader", "read"),
-    [
-        ("explain --schema", "head -n 1", "{\n"),
-        ("run configs/blocks.yaml -o {} 2>&1", "head -n 0", ""),
-    ],
-)
-def test_streams_closed_output_is_no_error(
-    command: str, reader: str, read: str, tmp_path: Path
-) -> None:
-    """A run goes on without it."""
-    line = f"{sys.executable} -m mantle {command.format(tmp_path)} | {reader}; echo ${{PIPESTATUS}}"
-    result = subprocess.run(
-        ["bash", "-c", line], cwd=ROOT, capture_output=True, text=True, timeout=60
-    )
-    assert (result.stdout, result.stderr) == (f"{read}0\n", "")
-    assert "run" not in command or (tmp_path / "DONE").exists()
-
-
-@pytest.mark.parametrize("command", ["study", "sweep", "verify", "stress"])
-def test_commands_cores_are_those_of_the_process(
-    command: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {3, 5, 6})
-    monkeypatch.setattr(os, "cpu_count", lambda: 64)
-    file = [f"{command}.yaml"] if command in ("study", "sweep") else []
-    assert cli.parser().parse_args([command, *file]).cores == 3
-
-
-@pytest.mark.parametrize(
-    ("error", "code", "message"),
-    [
-        (ConvergenceError("stem_cement did not settle"), 4, "stem_cement did not settle"),
-        (KeyboardInterrupt(), 5, "stopped: no step had converged, so nothing was written"),
-        (ZeroDivisionError("a bug"), 70, "ZeroDivisionError: a bug"),
-    ],
-)
-def test_commands_exit_codes(
-    error: BaseException,
-    code: int,
-    message: str,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def fail(arguments: list[str]) -> int:
-        raise error
-
-    monkeypatch.setattr(cli, "dispatch", fail)
-    aborted: list[int] = []
-    monkeypatch.setattr(cli, "_abort", aborted.append)
-    assert main(["run"]) == code
-    assert capsys.readouterr().err.rstrip().endswith(message)
-    # Errors that all ranks have alike leave by themselves; others end the ranks that would wait.
-    assert aborted == ([] if code == 4 else [code])
-
-
-@pytest.mark.parametrize("variable", ranks.RANK_VARIABLES)
-def test_commands_one_rank_prints(
-    variable: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for other in ranks.RANK_VARIABLES:
-        monkeypatch.delenv(other, raising=False)
-    assert ranks.rank() == 0
-    monkeypatch.setenv(variable, "3")
-    monkeypatch.setattr(cli, "GRACE", 0.0)
-    assert ranks.rank() == 3
-    assert main(["check", "none.yaml"]) == 2
-    assert capsys.readouterr() == ("", "")
-
-
-@pytest.mark.parametrize(
     ("probe", "where"),
     [
         ({"at": "[4 mm, 4 mm, 41 mm]"}, "[4.0, 4.0, 41.0] mm is not in the model"),
@@ -369,7 +248,7 @@ def test_commands_one_rank_prints(
 def test_check_finds_a_probe_outside_its_region(
     probe: dict[str, str], where: str, order: int
 ) -> None:
-    """Without being asked for the mesh; the radius of the stem is 7 mm."""
+    """The check finds the probe without `--mesh`. The radius of the stem is 7 mm."""
     changes = {"mesh.size": "4 mm", "mesh.order": order, "output.probes": {"tip": probe}}
     case = mantle.load(CONFIGS / "cylinders.yaml", **changes)
     if not where:
@@ -383,7 +262,7 @@ def test_check_finds_a_probe_outside_its_region(
 def test_check_finds_a_shipped_case_beside_a_folder_of_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A folder of results is often named after its case."""
+    """A folder of results often has the name of its case."""
     (tmp_path / "blocks").mkdir()
     monkeypatch.chdir(tmp_path)
     assert main(["check", "blocks"]) == 0

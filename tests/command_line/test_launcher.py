@@ -1,7 +1,7 @@
-"""The launcher: usage, set-up that is interrupted or doubled, ranks, signals, exit codes.
+"""The launcher: usage, set-up that is interrupted or runs twice, ranks, signals, exit codes.
 
-The tests run inside a solver stack, so the launcher finds dolfinx natively; setting a stack up is
-tested with an mmdebstrap that makes an empty tree.
+The tests run inside a solver stack, so the launcher finds dolfinx natively. A stand-in of
+mmdebstrap, which makes an empty tree, tests the set-up.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ echo "${OPENBLAS_CORETYPE:-}|${GLIBC_TUNABLES:-}|$*" >>"$CALLS"
 
 @pytest.mark.skipif("avx2" not in Path("/proc/cpuinfo").read_text(), reason="no processor for it")
 def test_launcher_test_all_repeats_on_other_kernels_and_orders(tmp_path: Path) -> None:
-    """With the same arguments; one that fails fails the whole. A seed sets the order."""
+    """The arguments are the same. One failure fails the whole command. A seed sets the order."""
     calls = tmp_path / "calls"
     program(tmp_path / "python3", PYTHON)
     more = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "CALLS": str(calls)}
@@ -166,7 +166,7 @@ def program(path: Path, text: str) -> None:
 
 
 def set_up(tmp_path: Path, mmdebstrap: str, *arguments: str) -> subprocess.Popen[str]:
-    """Start a set-up in which ``mmdebstrap`` is a script; TARGET is what it shall make."""
+    """Start a set-up in which ``mmdebstrap`` is a script; TARGET is the tree that it makes."""
     programs = tmp_path / "bin"
     head = 'for word; do case $word in *.part) TARGET=$word ;; esac; done; echo run >>"$LOG"\n'
     program(programs / "mmdebstrap", head + mmdebstrap)
@@ -199,7 +199,7 @@ def set_ups(tmp_path: Path) -> int:
 
 
 def made(tmp_path: Path, mmdebstrap: str, *arguments: str) -> tuple[Path, str]:
-    """The one tree after a set-up, and what was printed."""
+    """The tree after a set-up, and the output."""
     _, printed = set_up(tmp_path, mmdebstrap, *arguments).communicate(timeout=60)
     (tree,) = trees(tmp_path)
     return tree, printed
@@ -233,7 +233,7 @@ def test_launcher_failed_set_up_is_removed_by_the_next(tmp_path: Path) -> None:
 
 @as_root
 def test_launcher_killed_set_up_mounts_are_not_removed(tmp_path: Path) -> None:
-    """The host's folders, such as /dev, were mounted below the half tree."""
+    """Folders of the host, such as /dev, were mounted below the unfinished tree."""
     failed = set_up(tmp_path, EMPTY_TREE + 'mkdir "$TARGET/dev"; exit 1\n')
     failed.communicate(timeout=60)
     (half,) = trees(tmp_path)
@@ -272,7 +272,8 @@ def test_launcher_two_set_ups_make_one_tree(tmp_path: Path) -> None:
     both = [set_up(tmp_path, EMPTY_TREE + "sleep 1\n") for _ in range(2)]
     output = "".join(process.communicate(timeout=60)[1] for process in both)
     assert "another set-up is running; waiting for it" in output
-    assert set_ups(tmp_path) == len(trees(tmp_path)) == 1
+    assert set_ups(tmp_path) == 1
+    assert len(trees(tmp_path)) == 1
 
 
 @as_root
@@ -335,7 +336,7 @@ esac
 
 
 def wheels(tmp_path: Path, **more: str) -> subprocess.CompletedProcess[str]:
-    """Set up wheels by a stand-in of Python 3.12."""
+    """Set up wheels with a stand-in of Python 3.12."""
     (tmp_path / "Python.h").touch()
     program(tmp_path / "bin" / "python3.12", HOST)
     environ = {"PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}", "LOG": str(tmp_path / "log")}
@@ -344,7 +345,8 @@ def wheels(tmp_path: Path, **more: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_launcher_wheels_are_set_up_once(tmp_path: Path) -> None:
-    assert wheels(tmp_path).returncode == wheels(tmp_path).returncode == 0
+    assert wheels(tmp_path).returncode == 0
+    assert wheels(tmp_path).returncode == 0
     asked = (tmp_path / "log").read_text()
     (installed,) = re.findall("^-m pip install.*", asked, re.MULTILINE)
     assert set(packages.requirements("wheel")) <= set(installed.split())
@@ -401,7 +403,7 @@ def test_launcher_crash_of_one_rank_ends_all(tmp_path: Path) -> None:
 
 
 def ready(command: list[str]) -> subprocess.Popen[str]:
-    """Start Python in a separate process group, and wait until it says that it is ready."""
+    """Start Python in a separate process group, and wait until it reports that it is ready."""
     process = started(*command, session=True)
     assert process.stdout is not None and process.stdout.readline() == "ready\n"
     return process

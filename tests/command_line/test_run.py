@@ -1,4 +1,4 @@
-"""``mantle run``: what a run leaves on disk, and how it fails."""
+"""``mantle run``: files that a run leaves, and failures."""
 
 from __future__ import annotations
 
@@ -22,13 +22,14 @@ import pytest
 
 import mantle
 import meshes
+from app.case import new_case
 from app.case.case import dump, load
 from app.case.quantities import largest
 from app.foundation.verdict import recorded
 from app.laws.loads import Force
 from app.report import run_report
 from app.simulation import finished_runs
-from app.system import identity
+from app.system import folders, identity
 from meshes.femur_bone import FemurBone
 from tests import frozen, support
 from tests.cases.shipped import COARSE
@@ -93,7 +94,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 
 def balanced(summary: dict[str, Any]) -> bool:
-    """Apart from the trapezoidal sum of heat, which shows what the time steps leave out."""
+    """Balances, without the trapezoidal sum of heat, which shows the error of time steps."""
     return max(v for k, v in summary["balance"].items() if k != "heat_quadrature") < 1e-8
 
 
@@ -112,7 +113,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, str]:
 
 
 def test_run_summary_is_consistent(done: tuple[Path, Path, str]) -> None:
-    """Interfaces carry the load to the table, and the stem goes down."""
+    """Interfaces carry the load to the table, and the stem subsides."""
     summary = support.summary(done[1])
     assert (summary["status"], summary["solver"]["steps"]) == ("converged", 3)
     assert summary["units"]["length"] == "mm" and summary["units"]["stress"] == "MPa"
@@ -139,7 +140,10 @@ def test_run_summary_is_consistent(done: tuple[Path, Path, str]) -> None:
 def test_run_has_a_row_per_step(
     done: tuple[Path, Path, str],
 ) -> None:
-    """And a verdict; beside it who ran what, and the case resolved."""
+    """The table has a row per step.
+
+    The folder has the verdict, the provenance and the resolved case.
+    """
     case, output, printed = done
     history, summary = rows(output / "history.csv"), support.summary(output)
     assert [float(r["time [-]"]) for r in history] == [1.0, 1.5, 2.0]
@@ -161,7 +165,7 @@ def test_run_has_a_row_per_step(
 
 
 def test_run_fields_are_read_back(done: tuple[Path, Path, str]) -> None:
-    """Every field, with a node per body at the interfaces, against the summary."""
+    """Fields have a node per body at the interfaces, and agree with the summary."""
     results = mantle.read(done[1])
     summary, f = results.summary, results.fields
     assert list(f.times) == [1.0, 1.5, 2.0] and list(f.regions) == ["stem", "cement", "bone"]
@@ -212,7 +216,7 @@ MATERIALS = {"stem": (110e3, 0.3), "cement": (2200.0, 0.3), "bone": (17e3, 0.3)}
 
 
 def assert_stress(σ: np.ndarray, x: np.ndarray, u: np.ndarray, E: float, ν: float) -> None:
-    """Hooke's law on linear tetrahedra, from the nodes' displacements."""
+    """Hooke's law on linear tetrahedra, by the displacements of nodes."""
     G = np.linalg.solve(x[:, 1:] - x[:, :1], u[:, 1:] - u[:, :1])
     ε = (G + G.transpose(0, 2, 1)) / 2
     λ, μ = E * ν / ((1 + ν) * (1 - 2 * ν)), E / (2 * (1 + ν))
@@ -224,7 +228,7 @@ def assert_stress(σ: np.ndarray, x: np.ndarray, u: np.ndarray, E: float, ν: fl
 def test_run_keeps_or_replaces_finished_results(
     done: tuple[Path, Path, str], tmp_path: Path
 ) -> None:
-    """Results of another configuration and incomplete ones are replaced on demand."""
+    """Results of another configuration and incomplete ones are replaced on request."""
     case, output = done[0], tmp_path / "out"
     shutil.copytree(done[1], output)
     same = support.sets("interfaces.cement_bone.friction_coefficient=0.80")
@@ -280,7 +284,10 @@ def test_run_repeats_results_of_another_mesh_or_stack(tmp_path: Path) -> None:
 
 
 def test_run_that_diverges_leaves_its_last_state(tmp_path: Path) -> None:
-    """Exit code 4, one message that names the free body, the last converged state on disk."""
+    """The exit code is 4.
+
+    One message names the free body, and the last converged state is on disk.
+    """
     case, output = tmp_path / "sliding.yaml", tmp_path / "out"
     case.write_text(SLIDING)
     result = run(case, "-o", output, "--", "-pc_type", "bogus")
@@ -308,7 +315,7 @@ def test_run_that_diverges_leaves_its_last_state(tmp_path: Path) -> None:
 
 
 def test_run_without_converged_step_leaves_a_diagnosis(tmp_path: Path) -> None:
-    """The first step fails: no numbers, no fields, and a page that says why."""
+    """The first step fails, so there are no numbers and no fields. A page gives the reason."""
     case, output = tmp_path / "sliding.yaml", tmp_path / "out"
     case.write_text(SLIDING.replace("history: [0, 1]", "history: [1, 1]"))
     changes = "stages=[{name: a, adaptive: false}, {name: b}]", "regions.upper.poisson_ratio=0.46"
@@ -342,7 +349,10 @@ variations:
 
 
 def test_run_failed_variation_does_not_stop_others(tmp_path: Path) -> None:
-    """Exit code 4, which one and why; what is finished is not done again."""
+    """The exit code is 4, and the message names the variation and the reason.
+
+    Finished ones are not repeated.
+    """
     case, output = tmp_path / "varied.yaml", tmp_path / "out"
     case.write_text(VARIED)
     result = run(case, "-o", output)
@@ -408,7 +418,7 @@ def test_run_interrupted_keeps_finished_variations(tmp_path: Path) -> None:
 
 
 def check_variations(s: dict[str, Any]) -> None:
-    """Half of the load goes from the stem to the cement, multiplied as the variation says."""
+    """Half of the load goes from the stem to the cement, times the factor of the variation."""
     factor = {"half_load": 0.5, "heavy_load": 1.5}.get(s["name"], 1.0)
     for q in s["interfaces"].values():
         expected = (-900 * factor, 150 * factor)
@@ -418,7 +428,7 @@ def check_variations(s: dict[str, Any]) -> None:
 
 
 def check_bench(s: dict[str, Any]) -> None:
-    """The stem bends where it leaves the pot; resin is no bone, so there is no note on a femur."""
+    """The stem bends above the pot. The resin is no bone, so there is no note on a femur."""
     assert "femur" not in s and s["section_loads"]
     assert 250.0 < largest(s["regions"]["stem"], "von_mises_p99") < 450.0
     assert s["regions"]["cement"]["von_mises_p99"] < 50.0
@@ -436,7 +446,7 @@ HIP = (-399.5, -159.9, -1747.8)
 
 
 def check_stance(s: dict[str, Any]) -> None:
-    """Both interfaces hand on the hip force as it is: the cement bears no other load."""
+    """Both interfaces transmit the hip force, because the cement bears no other load."""
     for q in s["interfaces"].values():
         assert q["force"] == pytest.approx(HIP, rel=1e-6)
     assert s["mantle"]["thickness"]["nominal"] == 4.0
@@ -463,8 +473,13 @@ def check_stance(s: dict[str, Any]) -> None:
 
 
 def check_intact(s: dict[str, Any]) -> None:
-    """Bone alone; far below the head it bears what a beam under the same forces does."""
-    assert s["interfaces"] == s["stem"] == {} and "mantle" not in s
+    """The case has bone alone.
+
+    Far below the head its strain is that of a beam under the same forces.
+    """
+    assert s["interfaces"] == {}
+    assert s["stem"] == {}
+    assert "mantle" not in s
     assert s["regions"].keys() == {"cortical_bone", "cancellous_bone"}
     assert all(q["interfaces"] == {} for q in s["gruen"].values())
     # Each point of the bone is in one zone of each view.
@@ -480,7 +495,7 @@ def check_intact(s: dict[str, Any]) -> None:
 def _beam(z: float) -> float:
     """Mean strain energy density of the cortex at a height, by the theory of beams [MPa].
 
-    Zone 4 reaches from 2 mm above the stem's tip at -118 mm to 20 mm below it: its middle is at
+    Zone 4 reaches from 2 mm above the stem's tip at -118 mm to 20 mm below it, so its middle is at
     -127 mm. The sections of the parametric femur are integrated over angles.
     """
     case = load(support.CONFIGS / "intact.yaml").config
@@ -504,7 +519,7 @@ def _beam(z: float) -> float:
 
 
 def check_hot(s: dict[str, Any]) -> None:
-    """Nothing is hotter than the cement was or colder than the bone; the cement is hottest."""
+    """Temperatures stay between those of bone and cement at the start; the cement is hottest."""
     regions = s["thermal"]["regions"]
     assert regions["cement"]["temperature_max"] == pytest.approx(100, abs=1e-6)
     for r in regions.values():
@@ -515,7 +530,7 @@ def check_hot(s: dict[str, Any]) -> None:
 
 
 def check_rings(s: dict[str, Any]) -> None:
-    """The bone's peak of an independent solution in one dimension, with its error estimate."""
+    """The peak of the bone is that of an independent solution in one dimension, to its error."""
     check_hot(s)
     q = s["thermal"]["interfaces"]["cement_bone"]
     # 50.6 to 52.6 for mantles of 2 to 5 mm with this conductance.
@@ -524,7 +539,7 @@ def check_rings(s: dict[str, Any]) -> None:
 
 
 def check_cure(s: dict[str, Any]) -> None:
-    """All of the cement sets and warms the bone, within what its heat can do."""
+    """All cement sets and warms the bone, at most by the heat of cure."""
     cement = s["cure"]["cement"]
     assert 0.99 < cement["degree_min"] <= cement["degree_max"] <= 1
     assert 600 < cement["time_50"] < cement["time_90"] < 3000
@@ -533,7 +548,7 @@ def check_cure(s: dict[str, Any]) -> None:
 
 
 def check_residual(s: dict[str, Any]) -> None:
-    """The cement has set, shrinks onto the stem, and hands on the hip force all the same."""
+    """The cement has set and shrunk onto the stem, and transmits the hip force."""
     check_cure(s)
     assert s["interfaces"]["stem_cement"]["pressure_mean"] > 0.1
     stem = np.array(s["interfaces"]["stem_cement"]["force"])
@@ -541,7 +556,7 @@ def check_residual(s: dict[str, Any]) -> None:
 
 
 def check_history(s: dict[str, Any], steps: int = 3) -> None:
-    """After some steps: all of the motion at a peak is permanent or inducible."""
+    """After some steps all motion at a peak is permanent or inducible."""
     cycles = s["cycles"]["walking"]
     whole = cycles["permanent"]["stem"]["subsidence"] + cycles["inducible"]["stem"]["subsidence"]
     assert whole == pytest.approx(s["stem"]["subsidence"])
@@ -556,7 +571,7 @@ def check_history(s: dict[str, Any], steps: int = 3) -> None:
 
 
 def check_bone(s: dict[str, Any]) -> None:
-    """Bone goes where the stem shields the cortex, and comes where it ends."""
+    """Bone is lost where the stem shields the cortex, and grows at the stem's end."""
     mass, zones = s["remodelling"]["mass"], s["gruen"]
     assert abs(mass["audit"]) < 1e-10 and s["remodelling"]["seconds"] == pytest.approx(2 * 31557600)
     assert (
@@ -567,7 +582,7 @@ def check_bone(s: dict[str, Any]) -> None:
 
 
 def check_fatigue(summary: dict[str, Any]) -> None:
-    """Rim and tip of the mantle tire first; a stumble is no threat to its strength."""
+    """Rim and tip of the mantle have the most damage. A stumble does not break it."""
     assert summary["regions"]["cement"]["failure_probability"] < 1e-3
     for q in summary["fatigue"].values():
         assert 0 < q["damage_p99"] < q["damage_max"]
@@ -576,7 +591,7 @@ def check_fatigue(summary: dict[str, Any]) -> None:
 
 
 def check_debonding(summary: dict[str, Any]) -> None:
-    """A weak bond is damaged on a part of its area, and what that takes is dissipated."""
+    """A weak bond is damaged on a part of its area, and the fracture energy is dissipated."""
     q = summary["interfaces"]["cement_bone"]
     assert 0 <= q["area_broken"] < q["area_damaged"]
     assert 0 < q["damage_mean"] < 1
@@ -585,14 +600,14 @@ def check_debonding(summary: dict[str, Any]) -> None:
 
 
 def check_creep(s: dict[str, Any]) -> None:
-    """Ten years of walking; the creep of a mean point is a fraction of its elastic strain."""
+    """Ten years of walking give a mean point a fraction of its elastic strain as creep."""
     assert s["creep"]["cycles"] == 1e7 and s["creep"]["dissipation"] > 0
     assert 1e-4 < s["regions"]["cement"]["creep_strain_mean"] < 2e-3
     assert s["stem"]["subsidence"] > 0.03
 
 
 def check_strength(summary: dict[str, Any]) -> None:
-    """Six times the stance fails a part of each bond, at the rim more; layers have broken."""
+    """Six times the stance fails a part of each bond, most at the rim. Layers have broken."""
     rigid = summary["name"] == "bonded"
     q = summary["bonds" if rigid else "interfaces"]["cement_bone"]
     assert q["failure_index_p99"] < q["rim"]["failure_index_p99"]
@@ -602,20 +617,26 @@ def check_strength(summary: dict[str, Any]) -> None:
 
 
 def check_gait(s: dict[str, Any]) -> None:
-    """Torque is a little above mu F R; the worn volume is k over mu times the work of friction."""
+    """The torque is a little above mu F R.
+
+    The worn volume is k over mu times the work of friction.
+    """
     q = s["interfaces"]["bearing"]
     assert 1.0 < q["torque_max"] / (0.06 * 3000 * 14) < 1.1
     assert q["wear_volume"] == pytest.approx(1.07e-9 / 0.06 * q["dissipation_cycle"], rel=1e-9)
 
 
 def check_pressed(s: dict[str, Any]) -> None:
-    """The head sinks as in an axisymmetric solution, `tests/reference/axisymmetric.py`."""
+    """The head sinks like in an axisymmetric solution, `tests/reference/axisymmetric.py`."""
     centre = s["interfaces"]["bearing"]["centre"]
     assert centre[2] - 0.1 == pytest.approx(0.04538, rel=0.05)
 
 
 def check_warm(s: dict[str, Any]) -> None:
-    """After an hour neck and shell take what friction makes, as hot as they have to be for that."""
+    """After an hour neck and shell conduct the heat of friction.
+
+    Their temperatures are those that this needs.
+    """
     flows = s["thermal"]["flows"]["into"]
     assert flows["friction bearing"] == pytest.approx(
         s["interfaces"]["bearing"]["dissipation_cycle"]
@@ -625,14 +646,14 @@ def check_warm(s: dict[str, Any]) -> None:
 
 
 def check_drawn(s: dict[str, Any]) -> None:
-    """Friction is mu N, and the last cycle is the one before it."""
+    """Friction is mu N, and the last cycle equals the one before it."""
     assert s["interfaces"]["sole"]["force"] == pytest.approx([120, 0, -400], abs=1e-5)
     assert max(s["cycles"]["draw"]["change"]["sole"].values()) < 1e-6
     assert s["cycles"]["draw"]["dissipation"][-1] == pytest.approx(120 * 60, rel=1e-3)
 
 
 def check_press_fit(s: dict[str, Any]) -> None:
-    """The stem moves little, and less than with its insertion; the bone presses on it."""
+    """The stem moves little, and less than including its insertion. The bone presses on it."""
     q = s["interfaces"]["stem_bone"]
     assert 0.001 < q["micromotion_mean"] < q["micromotion_p99"] < 0.1
     assert q["motion_p99"] > 0.02
@@ -642,7 +663,7 @@ def check_press_fit(s: dict[str, Any]) -> None:
 
 
 def check_gauges(s: dict[str, Any]) -> None:
-    """Gauges agree with linear fits to the strain nearby; the shaft bends to medial."""
+    """Gauges agree with linear fits to the strain nearby. The shaft bends to medial."""
     for side, sign in (("medial", -1), ("lateral", 1)):
         for level in (40, 80):
             strain = s["probes"][f"{side}_{level}"]["strain"]
@@ -729,3 +750,54 @@ def test_run_of_a_shipped_case(name: str, tmp_path: Path) -> None:
         assert all(q["penetration_max"] < 1e-9 for q in exact)  # layers and bonds yield
         if name in CHECKS:
             CHECKS[name](summary)
+
+
+def test_run_of_a_case_with_a_base_can_be_repeated(tmp_path: Path) -> None:
+    new_case.write(tmp_path / "blocks", "blocks")
+    new_case.write(tmp_path / "cylinders", "cylinders")
+    over = tmp_path / "over.yaml"
+    over.write_text("base: blocks.yaml\nregions: {metal: {material: CoCrMo}}\n", encoding="utf-8")
+    first = mantle.run(mantle.load(over), tmp_path / "first")
+    mantle.run(mantle.load(tmp_path / "first" / "case.yaml"), tmp_path / "again")
+    assert frozen.numbers(tmp_path / "first") == frozen.numbers(tmp_path / "again")
+    record = json.loads((tmp_path / "first" / "provenance.json").read_text(encoding="utf-8"))
+    names = [Path(name).name for name in record["based_on_sha256"]]
+    assert names == ["blocks.yaml", "library.yaml"]
+    # What a case is, not how it is written, tells what is finished.
+    assert mantle.run(mantle.load(over), tmp_path / "first").summary == first.summary
+    pushed = mantle.run(
+        mantle.load(tmp_path / "cylinders.yaml", mesh__size="4 mm"), tmp_path / "pushed"
+    )
+    slip = pushed.summary["interfaces"]["stem_cement"]["slip_p99"]
+    assert slip == pytest.approx(0.1, rel=0.02)  # all of the way that it is pushed
+
+
+def test_run_of_a_run_imports_no_mesher_pictures_or_scipy(tmp_path: Path) -> None:
+    """Each of these imports costs a tenth of a second or more."""
+    path = support.CONFIGS / "blocks.yaml"
+    case = load(path).config
+    meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
+    script = (
+        "import sys; from app.cli import main; "
+        f"assert main(['run', {str(path)!r}, '-o', {str(tmp_path)!r}, "
+        "'--set', 'output.report=false']) == 0; "
+        "print(*sys.modules)"
+    )
+    loaded = set(support.python("-c", script).stdout.splitlines()[-1].split())
+    assert "dolfinx" in loaded
+    assert not loaded & {"gmsh", "matplotlib", "pandas", "pint", "scipy.sparse", "scipy.spatial"}
+
+
+def test_run_of_a_parametric_femur_imports_nothing_for_patients() -> None:
+    """Imports of the search for landmarks on a patient's bone take 0.15 s."""
+    path = str(support.CONFIGS / "stance.yaml")
+    script = (
+        "import sys; from pathlib import Path; from app.case.case import load; "
+        f"assert load(Path({path!r})).config.geometry.placement.top > 0; print(*sys.modules)"
+    )
+    loaded = set(support.python("-c", script).stdout.splitlines()[-1].split())
+    assert "meshes.placement" in loaded
+    for_patients = {
+        f"scipy.{name}" for name in ("interpolate", "ndimage", "optimize", "signal", "stats")
+    }
+    assert not loaded & (for_patients | {"app.patient.bone"})

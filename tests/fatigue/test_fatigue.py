@@ -24,7 +24,7 @@ QUIET = ("output.report=false", "output.fields=false")
 
 
 def turned(*principal: float, angle: float = 0.3) -> Floats:
-    """Stress with principal values about turned axes (1, 3, 3)."""
+    """Stress with principal values about rotated axes (1, 3, 3)."""
     c, s = math.cos(angle), math.sin(angle)
     Q = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
     return (Q * principal @ Q.T)[None]
@@ -56,12 +56,13 @@ def test_fatigue_lives_by_two_laws() -> None:
         for law, life in zip(laws, known, strict=True):
             damage = sum(n * law.damage(s) for n, s in spectrum)
             assert 1 / damage == pytest.approx(life, rel=0.02)
-    assert Verdonschot().damage(0.0) == Murphy().damage(0.0) == 0
+    assert Verdonschot().damage(0.0) == 0
+    assert Murphy().damage(0.0) == 0
 
 
 @pytest.mark.parametrize("ratio", [0.0, 0.1, 0.5])
 def test_fatigue_mean_stress(ratio: float) -> None:
-    """At the law's stress ratio a cycle is unchanged; another is on the same line of Goodman."""
+    """A cycle at the law's stress ratio is unchanged; another is on the same line of Goodman."""
     f = {"spectrum": {"a": 1}, "laws": {"x": {"intercept": 8.77, "slope": 4.68}}}
     plain = Fatigue.model_validate(f)
     line = Fatigue.model_validate(f | {"goodman": "40 MPa"})
@@ -84,7 +85,7 @@ def test_fatigue_weibull_risk_of_a_volume() -> None:
 
 
 def test_fatigue_reentrant_edges() -> None:
-    """Edge of an L, in pieces; none of a bar, and none on the facets around a stem."""
+    """An L has a re-entrant edge, also in pieces. A bar has none, nor have facets around a stem."""
     edges = reentrant_edges(
         support.mesh(load(support.CONFIGS / "verification/corner.yaml").config), "corner"
     )
@@ -98,9 +99,9 @@ def test_fatigue_reentrant_edges() -> None:
 
 
 def test_fatigue_life_is_reported_as_a_range(tmp_path: Path) -> None:
-    """Damage in numbers, fields and the closing lines; notes on laws and on what they are used at.
+    """Damage is in numbers, fields and the closing lines, with notes on laws and their use.
 
-    Without a band, of one law on one mesh, there is no year.
+    One law on one mesh has no range, so it gives no years.
     """
     laws = "fatigue.laws={v: {kind: verdonschot_1997, measured: [7 MPa, 20 MPa]}}"
     for name in ("one", "two"):

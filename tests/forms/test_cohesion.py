@@ -25,7 +25,7 @@ INTERNAL_VARIABLES: dict[str, tuple[int, ...]] = {"damage": (), "spent": ()}
 
 
 class Points:
-    """Points of a law, led along given jumps; forces are those of equilibrium with the law."""
+    """Points of a law that follow given jumps; forces are in equilibrium with the law."""
 
     def __init__(
         self,
@@ -73,7 +73,7 @@ class Points:
         return self.law.evaluate(force, jump, np.zeros_like(jump), self.state)
 
     def lead(self, jump: Floats) -> PointForces:
-        """Go to a jump and commit it."""
+        """Move the points to a jump and commit."""
         force, step = self.force, jump - self.state.jump
         for _ in range(3):  # the multiplier: nothing is pressed
             response = self.at(force, jump)
@@ -89,7 +89,7 @@ class Points:
 
 @pytest.mark.parametrize("softening", ["linear", "exponential"])
 def test_cohesion_energy_of_five_mixed_modes(softening: str) -> None:
-    """Work and dissipation G = G_I + (G_II - G_I) B^η; peak on the quadric of the strengths."""
+    """Work and dissipation are G_I + (G_II - G_I) B^η; the peak is on the quadric of strengths."""
     angle = np.linspace(0, np.pi / 2, 5)
     towards = np.column_stack([np.sin(angle), 0 * angle, np.cos(angle)])
     points, peak = Points(5, softening), np.zeros(5)
@@ -119,7 +119,7 @@ def test_cohesion_unloads_to_the_origin_without_damage_by_pressure() -> None:
 
 
 def test_cohesion_dissipates_on_nonproportional_paths() -> None:
-    """Opened then sheared, sheared then opened, with unloading between: work between both G."""
+    """Paths open then shear, and shear then open, with unloading. The work is between both G."""
     rng = np.random.default_rng(3)
     points = Points(40)
     corners = np.abs(rng.normal(size=(6, 40, 3))) * [0.06, 0.0, 0.03]
@@ -135,7 +135,7 @@ def test_cohesion_dissipates_on_nonproportional_paths() -> None:
 
 
 def test_cohesion_broken_share_has_friction() -> None:
-    """Friction μ p of the broken share, and the rest of the bond in series with nothing."""
+    """A broken share has friction μ p. No bond is left in series with it."""
     points = Points(2, μ=(0.4,), free=1.0)
     pressed = np.tile([0.0, 0.0, -3.0], (2, 1))
     out = points.at(pressed, np.tile([0.5, 0.0, 0.0], (2, 1)))
@@ -158,7 +158,7 @@ def test_cohesion_broken_share_has_friction() -> None:
 @pytest.mark.parametrize("faces", [1, 2, 3])
 @pytest.mark.parametrize("softening", ["linear", "exponential"])
 def test_cohesion_slopes_are_derivatives(faces: int, softening: str) -> None:
-    """Central differences at points that are whole, damaged, broken, open, stuck and sliding."""
+    """Central differences are taken at whole, damaged, broken, open, stuck and sliding points."""
     n, rng = 300, np.random.default_rng(faces)
     points = Points(n, softening, faces, μ=(0.4,))
     damage = np.where(np.arange(n) < 80, 0.0, rng.uniform(0, 1, n))

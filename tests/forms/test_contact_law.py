@@ -1,6 +1,6 @@
-"""The contact law of a point: what UFL derives from eq. 65 against what the conditions say.
+"""The contact law of a point: UFL derives it from eq. 65; it must satisfy the contact conditions.
 
-The numpy side of these tests is written from the conditions (distances to convex sets, Signorini,
+The numpy side of these tests follows from the conditions (distances to convex sets, Signorini,
 Coulomb), not from the form.
 """
 
@@ -39,7 +39,7 @@ KINDS = pytest.mark.parametrize(
 
 @dataclass(frozen=True)
 class Points:
-    """Random contact points: what the law takes, n of them."""
+    """Random contact points: n rows of arguments of the law."""
 
     F: Floats
     jump: Floats
@@ -56,7 +56,7 @@ class Points:
 
     @property
     def dS(self) -> Floats:
-        """Trial force with the change of the jump: its tangential part counts."""
+        """Trial force with the change of the jump, whose tangential part counts."""
         return self.F + self.r[:, None] * (self.jump - self.old)
 
     @property
@@ -65,7 +65,7 @@ class Points:
 
 
 def sample(n: int, faces: int, seed: int = 1) -> Points:
-    """Random points with an old state that does not penetrate, as a committed one does not."""
+    """Random points with a committed state that does not penetrate."""
     rng = np.random.default_rng(seed)
     normals = unit(rng.normal(size=(n, 1, 3)))
     while normals.shape[1] < faces:
@@ -101,7 +101,7 @@ def solve_gram(normals: Floats, b: Floats) -> Floats:
 
 
 def derived(p: Points, friction: bool, *wanted: str) -> list[Floats]:
-    """Of a law at n points: energy, or its derivative by F or D."""
+    """Energy of a law at n points, or its derivative by F or D."""
     normals = {f"n{k}": p.normals[:, k] for k in range(p.faces)}
     values = {"F": p.F, "D": p.jump, "gap": p.gap, "old": p.old, "star": 0 * p.F, "r": p.r}
     values |= normals | {"μ": p.μ}
@@ -186,7 +186,7 @@ def test_contact_law_of_one_face_is_eq_65(friction: bool) -> None:
 
 @KINDS
 def test_contact_law_gradients_are_return_mapping_and_jump(faces: int, friction: bool) -> None:
-    """∂Π/∂D = P(S) and ∂Π/∂F = (P(S) - F)/r, whatever the number of faces."""
+    """For any number of faces ∂Π/∂D = P(S) and ∂Π/∂F = (P(S) - F)/r."""
     p = sample(300, faces, seed=2)
     by_D, by_F = derived(p, friction, "D", "F")
     P = force_of(law_of(p, friction), p).force
@@ -213,7 +213,7 @@ def test_contact_law_without_friction_projects_on_cone_of_normals(faces: int) ->
 
 @KINDS
 def test_contact_law_generalized_jacobian(faces: int, friction: bool) -> None:
-    """Taylor: P(S + h δ) = P(S) + h P' δ + O(h²) where no state changes on the way."""
+    """Taylor's formula P(S + h δ) = P(S) + h P' δ + O(h²) holds if no state changes."""
     p = sample(600, faces, seed=4)
     law = law_of(p, friction)
     rng = np.random.default_rng(5)
@@ -247,7 +247,7 @@ def test_contact_law_generalized_jacobian(faces: int, friction: bool) -> None:
 
 @dataclass(frozen=True)
 class Broken:
-    """By how much the pair F = P(S), D = (S - F)/r breaks the conditions, over |S|.
+    """Violation of the conditions by F = P(S), D = (S - F)/r, over |S|.
 
     Attributes:
         always: What has to hold at every point.
@@ -319,8 +319,8 @@ def within_the_friction_cones(force: Floats, normals: Floats, μ: float) -> bool
 def test_contact_law_satisfies_signorini_and_coulomb(faces: int, friction: bool) -> None:
     """For any S the pair F = P(S), D = (S - F)/r satisfies all conditions on all faces.
 
-    With friction on an edge no such force may exist while friction acts across what the touching
-    faces leave free. The point is then held by all its faces, and friction acts between them.
+    On an edge there may be no such force while friction acts across the directions that the
+    touching faces leave free. Then all faces hold the point, and friction acts between them.
     """
     p = sample(1500, faces, seed=6)
     out = force_of(law_of(p, friction), p)
@@ -351,10 +351,11 @@ EDGE = sample(1, 2, seed=7)
 
 @pytest.mark.parametrize("directions", [1, 2])
 def test_contact_law_along_prescribed_jumps_has_coulomb_friction(directions: int) -> None:
-    """x = R (x + a) / |(x + a, b)|: slips from far below rounding to far above the friction limit.
+    """The law is x = R (x + a) / |(x + a, b)|.
 
-    R is the limit of friction, a the trial force of the slip, b the force across it. At rest, below
-    a tolerance, it is the friction of the last state, here zero, and at most a more.
+    Its slips go from far below rounding to far above the friction limit. R is the limit of
+    friction, a the trial force of the slip, b the force across it. At rest, below a tolerance, the
+    friction is that of the last state, here zero, plus at most a.
     """
     n, rng = 500, np.random.default_rng(5)
     μ, r = rng.uniform(0.05, 1.5, n), 10 ** rng.uniform(0, 4, n)
@@ -438,7 +439,7 @@ def edge_law() -> PointLaws:
 def test_contact_law_at_edge_points_for_any_force(
     F: list[float], slip: list[float], gap: float
 ) -> None:
-    """An edge that touched on one face and was open on the other, pushed anyhow."""
+    """The edge touched on one face and was open on the other. Any force acts on it."""
     n = EDGE.normals
     before = solve_gram(n, np.array([[0.0, gap]]))
     old = np.array([[0.3, -0.2, 0.1]])

@@ -1,7 +1,7 @@
-"""Setting: rates, the implicit local step, closed forms and reference times, strains, energy.
+"""Cure: rates, the implicit local step, closed forms and reference times, strains, energy.
 
-Reference times: the adiabatic and isothermal equations integrated to 1e-11 by a Radau method or,
-with dt = da / f(a, T(a)), by quadrature; closed forms where there are any.
+Reference times come from the adiabatic and isothermal equations, integrated to 1e-11 by a Radau
+method. With dt = da / f(a, T(a)) they come from quadrature, or from closed forms.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def rate(k: Autocatalytic, a: Floats, T: Floats) -> Floats:
 
 
 def doubled(T: float = 330.0) -> Autocatalytic:
-    """Twice the activation energy, as fast as before at one temperature."""
+    """Twice the activation energy, with the same rate at one temperature."""
     faster = BALIGA.rate_constant * np.exp(BALIGA.activation_energy / (R * T))
     return altered(BALIGA, activation_energy=2 * BALIGA.activation_energy, rate_constant=faster)
 
@@ -114,7 +114,7 @@ def test_cure_modulus_grows_after_gelation() -> None:
 @ALL
 @pytest.mark.parametrize("h", [1e-3, 1.0, 60.0, 3600.0])
 def test_cure_step_solves_its_equation(kinetics: Autocatalytic, h: float) -> None:
-    """a = a* + h f(a, T), but for what may stay unreacted, and its derivative by T."""
+    """The step solves a = a* + h f(a, T) up to the unreacted part, and gives da/dT."""
     rng = np.random.default_rng(2)
     n = 300
     start = np.concatenate([10 ** rng.uniform(-6, 0, n), 1 - 10 ** rng.uniform(-8, 0, n)])
@@ -167,7 +167,7 @@ def compiled(which: str) -> Kinetics:
 
 @ALL
 def test_cure_steps_are_finite_where_rates_underflow(kinetics: Autocatalytic) -> None:
-    """Where rates underflow, nothing sets and no warming changes that; the next step is as ever."""
+    """At rates that underflow the degree of cure stays 0; the next step is usual."""
     hot, cold, warm = (np.full(3, T) for T in (1e4, 1.0, 350.0))
     start = np.array([5e-324, 1e-200, 0.3])
     curing, fresh = setting(kinetics, 3), setting(kinetics, 3)
@@ -188,7 +188,7 @@ def test_cure_steps_are_finite_where_rates_underflow(kinetics: Autocatalytic) ->
 
 
 def test_cure_near_zero_degree_depends_little_on_temperature() -> None:
-    """With m = 1, a = a* / (1 - h k) for a* -> 0, below what differs from nothing."""
+    """At m = 1 the step gives a = a* / (1 - h k) for a* -> 0, down to the smallest numbers."""
     kinetics = KINETICS["third order"]
     curing, T = setting(kinetics, 1), np.array([300.0])
     h = 0.3 / float(rate(kinetics, np.array([1e-9]), T)[0] / 1e-9)
@@ -218,7 +218,8 @@ def test_cure_refuses_degrees_beyond_bounds() -> None:
 
 def test_cure_on_a_rank_without_nodes() -> None:
     result = setting(nodes=0).update(np.zeros(0), np.zeros(0), 1.0, 0.0)
-    assert len(result.degree) == len(result.by_temperature) == 0
+    assert len(result.degree) == 0
+    assert len(result.by_temperature) == 0
 
 
 # Time
@@ -226,7 +227,7 @@ def test_cure_on_a_rank_without_nodes() -> None:
 
 @dataclass
 class Run:
-    """A point of cement in time: times, temperatures, degrees and rates, and what failed."""
+    """A point of cement in time: times, temperatures, degrees and rates, and failed steps."""
 
     times: Floats
     temperature: Floats
@@ -241,13 +242,13 @@ class Run:
         return CubicHermiteSpline(self.times, self.degree, self.rates)
 
     def reaches(self, level: float) -> float:
-        """When the degree reaches a level."""
+        """Time at which the degree reaches a level."""
         return float(self.spline.solve(level, extrapolate=False)[0])
 
 
 @dataclass
 class Point:
-    """Cement that keeps its heat (gain is the rise of full cure [K]) or its temperature (0)."""
+    """Adiabatic cement (gain is the rise of full cure [K]), or at constant temperature (0)."""
 
     curing: Kinetics
     gain: float
@@ -255,7 +256,10 @@ class Point:
     solves: int = 0
 
     def solve(self, start: State, h: float, seconds: float, guess: State) -> State | None:
-        """Newton's method from below: the first root, which goes on from that of short steps."""
+        """Newton's method from below.
+
+        It finds the first root, which continues that of short steps.
+        """
         self.solves += 1
         T_start, a_start = start
         if not are_admissible(a_start):
@@ -286,7 +290,7 @@ def point(
 
 
 def integrate(p: Point, end: float, method: str = "sdirk4", tolerance: float = TOLERANCE) -> Run:
-    """As a run does: first slope, steps by their error, repeated where they fail."""
+    """Steps have the lengths that a run would choose."""
     table, y, seconds, rejected = METHODS[method], p.start, 0.0, 0
     slope = start_slope(y, 0.0, 1e-6 * end, p.solve)
     assert slope is not None
@@ -361,7 +365,7 @@ def test_cure_equals_closed_forms() -> None:
 def test_cure_of_a_stiff_exotherm_in_few_steps(
     method: str, kinetics: Autocatalytic, initial: float, gain: float, t50: float
 ) -> None:
-    """An exotherm of seconds within an hour: bounds, energy and few steps."""
+    """An exotherm takes seconds within an hour. Bounds and energy hold with few steps."""
     tolerance = TOLERANCE if method == "sdirk4" else 0.1
     run = integrate(point(kinetics, initial=initial, gain=gain), 3600.0, method, tolerance)
     a, T = run.degree, run.temperature
@@ -379,7 +383,10 @@ COURSE = ((300.0, 0.0), (400.0, 2.0), (600.0, 0.0))
 
 
 def test_cure_prescribed_rate_is_integrated_at_any_scale() -> None:
-    """Degree = initial + (1 - initial) times the part of the course's integral that has passed."""
+    """The degree is initial + (1 - initial) F.
+
+    F is the part of the course's integral that has passed.
+    """
     p = point(Prescribed.model_construct(rate=COURSE))
     assert p.curing.events == (300.0, 400.0, 600.0)
     run = integrate(p, 1800.0)
@@ -397,7 +404,7 @@ def test_cure_prescribed_rate_is_integrated_at_any_scale() -> None:
 
 
 def test_cure_prescribed_rate_stops_at_full_cure() -> None:
-    """Long backward Euler steps see the rate at their ends only; the degree ends at one at most."""
+    """Long backward Euler steps see the rate at their ends only. The degree is at most one."""
     curing = setting(Prescribed.model_construct(rate=((0.0, 1.0), (100.0, 1.0))))
     y = np.array([1e-3])
     for k in range(1, 8):
@@ -414,7 +421,7 @@ def test_cure_prescribed_rate_stops_at_full_cure() -> None:
 def test_cure_prescribed_rate_that_jumps_in_equal_steps(
     method: Method, begin: float, dt: float
 ) -> None:
-    """A rate that begins and ends at once, at the ends of steps whose times are rounded."""
+    """The rate jumps at ends of steps, whose times are rounded."""
     p = point(Prescribed.model_construct(rate=((begin, 1.0), (begin + 5 * dt, 1.0))))
     y, slope, seconds = p.start, [np.zeros(1), np.zeros(1)], begin - 2 * dt
     for k in range(-2, 7):

@@ -1,7 +1,7 @@
-"""Elastic bodies: the stiffness of eq. 48-50 as corrected is the inverse of the compliance.
+"""Elasticity: the stiffness of the corrected eq. 48-50 is the inverse of the compliance.
 
-The stiffness is the second derivative of the strain energy by UFL, evaluated by dolfinx on a cell;
-the compliance is written down from its definition and inverted by numpy.
+UFL derives the stiffness from the strain energy, and dolfinx evaluates it on a cell. The compliance
+follows from its definition, and numpy inverts it.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def test_elasticity_stiffness_is_inverse_compliance(
 
 
 def test_elasticity_coefficients_of_the_errata() -> None:
-    """Coefficients e1..e5 of errata E6, to the digits given there."""
+    """Coefficients e1..e5 agree with errata E6 to its digits."""
     e = elasticity.transversely_isotropic_coefficients(*BONE)
     np.testing.assert_allclose(e, [12165.1, 7615.9, -2261.8, -1055.9, 9994.4], atol=0.051)
 
@@ -139,7 +139,7 @@ def printed_coefficients(E_l, E_t, ν_l, ν_t, μ_l):  # type: ignore[no-untyped
 
 
 def test_elasticity_printed_coefficients_fail() -> None:
-    """The comparison sees the misprints: modulus along the fibre 542 instead of 17000 MPa."""
+    """The misprints change the modulus along the fibre from 17000 to 542 MPa."""
     printed = compile_stiffness(printed_coefficients)
     z = (0.0, 0.0, 1.0)
     C = printed(BONE, z)
@@ -151,7 +151,7 @@ def test_elasticity_printed_coefficients_fail() -> None:
 
 
 def test_elasticity_isotropic_limit() -> None:
-    """With E_l = E_t, one Poisson's ratio and μ_l = E/2(1+ν) the fibre terms vanish."""
+    """Equal E_l and E_t, one Poisson's ratio and μ_l = E/2(1+ν) make the fibre terms vanish."""
     E, ν = 2200.0, 0.3
     e = elasticity.transversely_isotropic_coefficients(E, E, ν, ν, E / (2 * (1 + ν)))
     e1, e2 = elasticity.isotropic_coefficients(E, ν)
@@ -160,9 +160,10 @@ def test_elasticity_isotropic_limit() -> None:
 
 @pytest.mark.parametrize("fibre", [(1, 0, 0), (0, 0.6, 0.8), (1 / 3, 2 / 3, -2 / 3)])
 def test_elasticity_stress_is_the_derivative_of_energy(fibre: tuple[float, ...]) -> None:
-    """Eq. 49 with its sign corrected: stretching pulls. Eigenstrains give their components.
+    """Eq. 49 with its corrected sign: stretching gives tension, and eigenstrains are subtracted.
 
-    Of a fibrous material it is the inverse of the compliance times a strain with all its shears.
+    The stress of a fibrous material is the inverse of the compliance times a strain with all
+    shears.
     """
     constants = elasticity.transversely_isotropic_coefficients(17.0, 11.5, 0.31, 0.51, 3.28)
 

@@ -1,7 +1,7 @@
-"""Heat in a box of one cuboid: flows of conduction, exchange and heating, and their steady states.
+"""Heat in a box of one cuboid: flows of conduction, exchange and heating, and steady states.
 
-Heat flows along z in the steady states, whose temperatures are linear or quadratic in z: elements
-of second order have them exactly.
+Heat flows along z in the steady states. Their temperatures are linear or quadratic in z, which
+elements of second order represent exactly.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Box:
         """Temperatures of the steady state [K]: the stationary point with the cold face held.
 
         Args:
-            potential: Of all exchange beside conduction, from the temperature.
+            potential: Of all exchange except conduction, from the temperature.
             power: Of all that heats, from the virtual temperature.
         """
         θ = fem.Function(self.space)
@@ -82,7 +82,7 @@ def box() -> Box:
 
 
 def test_heat_conduction_is_fouriers_law(box: Box) -> None:
-    """The slope of the potential is k g, in any direction."""
+    """The slope of the potential is k g in any direction."""
     g = np.array([3.0, -1.0, 2.0])
     k = box.constant(CONDUCTIVITY)
     for h in np.eye(3):
@@ -116,14 +116,14 @@ def nothing(box: Box) -> Callable[[Expr], Any]:
 
 
 def test_heat_flux_gives_linear_temperature(box: Box) -> None:
-    """q into the top flows to the cold face: T = T_0 + q z / k."""
+    """A flux q into the top flows to the cold face: T = T_0 + q z / k."""
     q = 0.8
     T = box.steady(nothing(box), lambda v: heat.heating_power(box.constant(q), v) * box.top)
     assert T == pytest.approx(COLD + q * box.z / CONDUCTIVITY, abs=1e-10)
 
 
 def test_heat_source_gives_quadratic_temperature(box: Box) -> None:
-    """Q per volume and an insulated top: T = T_0 + Q z (L - z/2) / k."""
+    """A source Q per volume below an insulated top gives T = T_0 + Q z (L - z/2) / k."""
     Q = 0.3
     T = box.steady(nothing(box), lambda v: heat.heating_power(box.constant(Q), v) * box.dx)
     expected = COLD + Q * box.z * (LENGTH - box.z / 2) / CONDUCTIVITY
@@ -131,7 +131,7 @@ def test_heat_source_gives_quadratic_temperature(box: Box) -> None:
 
 
 def test_heat_convection_is_a_resistance_in_series(box: Box) -> None:
-    """From the surroundings through 1/a and L/k to the cold face."""
+    """Heat flows from the surroundings through 1/a and L/k to the cold face."""
     a, ambient = 0.2, 320.0
     flux = (ambient - COLD) / (1 / a + LENGTH / CONDUCTIVITY)
 
@@ -143,7 +143,10 @@ def test_heat_convection_is_a_resistance_in_series(box: Box) -> None:
 
 
 def test_heat_perfusion_leads_to_blood_temperature(box: Box) -> None:
-    """Per volume a (T - T_b) leaves: in a box of even temperature a (T - T_b) V in all."""
+    """A power of a (T - T_b) per volume leaves.
+
+    A box of uniform temperature loses a (T - T_b) V.
+    """
     a, blood = 0.01, 310.0
     θ = fem.Function(box.space)
     θ.x.array[:] = 316.0
@@ -155,7 +158,10 @@ def test_heat_perfusion_leads_to_blood_temperature(box: Box) -> None:
 
 
 def test_heat_perfusion_of_a_fin(box: Box) -> None:
-    """T'' = a (T - T_b) / k with an insulated top: cosh, here to the accuracy of one element."""
+    """T'' = a (T - T_b) / k with an insulated top has a cosh as solution.
+
+    One element has its error.
+    """
     a, blood = 0.002, 310.0
     m = np.sqrt(a / CONDUCTIVITY)
 

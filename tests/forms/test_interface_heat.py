@@ -44,7 +44,7 @@ def random(seed: int) -> dict[str, Floats]:
 
 
 def test_interface_heat_conductance_grows_with_pressure_up_to_its_cap(law: Pointwise) -> None:
-    """E9: h = h_o + h_p |p| in compression, never less than open, capped."""
+    """E9: h = h_o + h_p |p| in compression, at least that of an open interface, at most the cap."""
     x = random(0)
     h = law(**x)[3]
     closed = x["open"] + x["per_pressure"] * np.where(x["p"] > 0, x["p"], 0.0)
@@ -53,7 +53,7 @@ def test_interface_heat_conductance_grows_with_pressure_up_to_its_cap(law: Point
 
 
 def test_interface_heat_flows_from_hot_to_cold(law: Pointwise) -> None:
-    """E4: the heat into the slave is h (θ - θ'), that is -h τ; its derivatives by hand."""
+    """E4: the heat into the slave is h (θ - θ') = -h τ; its derivatives are by hand."""
     x = random(1)
     q, by_jump, by_pressure, h = law(**x)
     assert q == pytest.approx(-h * x["τ"], rel=1e-14)
@@ -65,7 +65,7 @@ def test_interface_heat_flows_from_hot_to_cold(law: Pointwise) -> None:
 
 
 def test_interface_heat_of_friction_goes_to_both_sides() -> None:
-    """E10: as printed the two sides would get +D and -D, nothing in sum."""
+    """E10: each side gets a part of D. The printed equation gives +D and -D, whose sum is zero."""
     master, slave = interface_heat.friction_heat(3.0, 0.34)
     assert (master, slave) == pytest.approx((3.0 * 0.66, 3.0 * 0.34))
     assert master + slave == pytest.approx(3.0)

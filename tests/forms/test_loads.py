@@ -1,6 +1,6 @@
-"""Loads on a box of one cuboid: resultant, moment, and work in a rigid or a linear motion.
+"""Loads on a box of one cuboid: resultant, moment, and work in rigid and linear motions.
 
-A load does the work F·a + M·b in the rigid motion v = a + b × x, with F its resultant and M its
+A load does the work F·a + M·b in the rigid motion v = a + b × x. F is its resultant and M its
 moment about the origin.
 """
 
@@ -29,7 +29,7 @@ TOP = 1  # tag of the face z = 4 mm
 
 
 class Box:
-    """A box, its measures, and the work of loads in motions of it."""
+    """A box, its measures, and the work of loads in motions of the box."""
 
     def __init__(self) -> None:
         cube = mesh.create_box(MPI.COMM_SELF, [np.zeros(3), SIZE], [1, 1, 1])
@@ -101,7 +101,7 @@ def test_loads_pressure_compresses_one_face(box: Box) -> None:
 
 
 def test_loads_pressure_all_around_is_in_equilibrium(box: Box) -> None:
-    """Work in v = x is -p times the growth of the volume, 3 V."""
+    """The work in v = x is -p times the growth of the volume, 3 V."""
     p = 1.7
     force, moment = box.resultants(
         lambda v: loads.pressure_work(box.constant(p), box.n, v) * box.surface
@@ -113,7 +113,7 @@ def test_loads_pressure_all_around_is_in_equilibrium(box: Box) -> None:
 
 
 def test_loads_fluid_pressure_gives_buoyancy(box: Box) -> None:
-    """p = γ (h - z) lifts by the weight of the fluid, at the centre of the box."""
+    """The pressure γ (h - z) lifts by the weight of the fluid, at the centre of the box."""
     γ = 0.2
     p = γ * (10.0 - box.x[2])
     force, moment = box.resultants(lambda v: loads.pressure_work(p, box.n, v) * box.surface)
@@ -130,7 +130,7 @@ def test_loads_body_force_acts_at_the_centre(box: Box) -> None:
 
 
 def test_loads_body_force_linear_in_x(box: Box) -> None:
-    """b = c x e_z: force c V a/2, and its lever along x is 2/3 a."""
+    """The body force c x e_z has the resultant c V a/2 and the lever 2/3 a along x."""
     c = 0.3
     b = c * box.x[0] * ufl.as_vector([0, 0, 1])
     force, moment = box.resultants(lambda v: loads.body_force_work(b, v) * box.dx)
@@ -140,7 +140,7 @@ def test_loads_body_force_linear_in_x(box: Box) -> None:
 
 
 def test_loads_foundation_energy(box: Box) -> None:
-    """In a translation, and with the force -k v A as the slope of its energy."""
+    """A translation has the energy of springs, and the force -k v A is its slope."""
     k = np.array([1.0, 20.0, 300.0])
     a = box.constant([0.1, -0.2, 0.05])
     energy = fem.form(loads.foundation_energy(box.constant(k), a) * box.top)
@@ -155,7 +155,7 @@ def test_loads_foundation_energy(box: Box) -> None:
 
 
 def test_loads_stress_does_no_work_in_a_rigid_motion(box: Box) -> None:
-    """Also not in a rotation: σ : ε counts the symmetric part of the gradient alone."""
+    """The work is zero in rotations too, because σ : ε has the symmetric gradient alone."""
     σ = np.array([[1.0, 2.0, 3.0], [2.0, -4.0, 5.0], [3.0, 5.0, 6.0]])
     force, moment = box.resultants(
         lambda v: loads.mechanical_work(box.constant(σ), ufl.grad(v)) * box.dx

@@ -1,4 +1,4 @@
-"""Surfaces by formula: fitted to nodes, whatever their place, with exact gaps and normals."""
+"""Analytical surfaces: fitted to nodes at any place, with exact gaps and normals."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PLACE = np.array([30.0, -20.0, 400.0])
 
 
 def nodes(kind: str) -> tuple[Floats, Floats, Floats]:
-    """Nodes of a part of a surface, outward normals of facets there (rough), exact normals."""
+    """Nodes on a part of a surface, rough outward normals of facets, exact normals."""
     a, b = RNG.uniform(0.0, 1.2, (2, 80))
     if kind == "plane":
         exact = np.tile([0.0, 0.0, 1.0], (80, 1))
@@ -33,7 +33,7 @@ def nodes(kind: str) -> tuple[Floats, Floats, Floats]:
 @pytest.mark.parametrize("kind", ["plane", "sphere", "cylinder"])
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["inside", "outside"])
 def test_analytical_surfaces_are_fitted_to_nodes(kind: str, side: float) -> None:
-    """Gap and normal at points off the surface equal those of the formula, body on either side."""
+    """Gap and normal at points off the surface follow its formula, with the body on either side."""
     x, rough, exact = nodes(kind)
     surface = fit_surface(x @ ROTATION.T + PLACE, side * rough @ ROTATION.T)
     assert surface is not None and surface.kind == kind
@@ -44,13 +44,13 @@ def test_analytical_surfaces_are_fitted_to_nodes(kind: str, side: float) -> None
 
 
 def test_analytical_surfaces_refuse_other_shapes() -> None:
-    """Nodes off a sphere by a thousandth of its radius are on none."""
+    """Nodes a thousandth of the radius off a sphere are not on it."""
     x, rough, exact = nodes("sphere")
     assert fit_surface(x + 0.014 * np.sin(9 * x[:, :1]) * exact, rough) is None
 
 
 def test_analytical_surfaces_rotation_vector_returns_axis_and_angle() -> None:
-    """Axis and angle return (Rodrigues), small ones and nearly half a turn too."""
+    """Rodrigues' formula returns axis and angle, also for small angles and nearly half a turn."""
     axis = ROTATION[:, 0]
     cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
     for angle in (0.0, 1e-9, 0.1, 2.0, 3.1):

@@ -1,4 +1,4 @@
-"""Large slip over rigid surfaces: a head that rotates in its cup as prescribed."""
+"""Finite sliding over rigid surfaces: a head that rotates in its cup by given angles."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ AS_IT_IS = np.eye(3)
 
 
 def loaded(*forces: Floats) -> str:
-    """An override: the head is loaded by forces [N] at equal times."""
+    """Override by which forces [N] at equal times load the head."""
     rows = cycle_table("force {} [N]", forces)
     return f"loads.hip={{kind: force, boundary: head_bore, cycle_table: {rows}}}"
 
 
 def same(one: list[Step], other: list[Step], tolerance: float, Q: Floats = AS_IT_IS) -> None:
-    """Steps are the same, or those of a case that is turned by Q."""
+    """Steps are equal, or those of a case that is rotated by Q."""
     assert len(one) == len(other)
     for a, b in zip(one, other, strict=True):
         assert support.difference(a.load, b.load) < tolerance
@@ -54,7 +54,7 @@ def same(one: list[Step], other: list[Step], tolerance: float, Q: Floats = AS_IT
 
 
 def test_finite_sliding_rotation_without_friction_changes_nothing() -> None:
-    """Pressures, place and force of a sphere that turns; no torque."""
+    """Pressures, place and force of a rotating sphere stay constant. There is no torque."""
     settled = ", ".join(f"{{name: settle_{k}}}" for k in range(4))
     steps = solve(f"{FRICTION}=0", QUARTER, f"stages=[{settled}, {{name: turn, increments: 5}}]")
     before, *turned = steps[3:]
@@ -69,7 +69,10 @@ def test_finite_sliding_rotation_without_friction_changes_nothing() -> None:
 
 @pytest.mark.parametrize("axis", [(0, 1, 0), (2, -1, 1)])
 def test_finite_sliding_dissipation_equals_torque_times_angle(axis: tuple[int, int, int]) -> None:
-    """M dθ is dissipated, and M is the sum of μ p W R sqrt(1 - n_y²); Newton takes few steps."""
+    """The dissipated energy is the integral of M dθ, and M is the sum of μ p W R sqrt(1 - n_y²).
+
+    Newton needs few iterations.
+    """
     angles = 30 * Rotation.from_rotvec(np.array(axis)).as_rotvec() / np.linalg.norm(axis)
     ways = [Rotation.from_rotvec(s * angles, degrees=True) for s in np.linspace(0, 1, 7)]
     rows = [w.as_euler("YXZ", degrees=True)[[1, 0, 2]] for w in ways]
@@ -87,7 +90,7 @@ def test_finite_sliding_dissipation_equals_torque_times_angle(axis: tuple[int, i
 
 
 def test_finite_sliding_dissipation_is_independent_of_steps() -> None:
-    """Swings of 25 degrees in 4, 8 and 20 steps."""
+    """Swings of 25 degrees have 4, 8 and 20 steps."""
     cycles = []
     for increments in (4, 8, 20):
         steps = solve(SWING, stages(increments, cycles=3))
@@ -102,7 +105,7 @@ def test_finite_sliding_dissipation_is_independent_of_steps() -> None:
 
 
 def test_finite_sliding_results_are_invariant_under_rotation() -> None:
-    """Rotated as a whole, and then the mesh of the head under it too."""
+    """The model is rotated as a whole, then the mesh of the head below it too."""
     angles = [(0, 0, 0), (4, 5, -3), (9, 12, -5), (3, 20, 2)]
     one = solve(turning(*angles, largest_step="30 deg"), stages(3))
     data, Q = built(), ROTATION
@@ -121,7 +124,7 @@ def test_finite_sliding_results_are_invariant_under_rotation() -> None:
 
 
 def test_finite_sliding_load_follows_the_head() -> None:
-    """It is that of a cycle table with the turned components."""
+    """The load equals that of a cycle table with the rotated components."""
     follows = solve(QUARTER, stages(5), "loads.hip.follows=ball")
     ways = [Rotation.from_euler("Y", 5 * k, degrees=True).as_matrix() for k in range(6)]
     same(follows, solve(QUARTER, stages(5), loaded(*(W @ FORCE for W in ways))), 1e-8)
@@ -129,7 +132,7 @@ def test_finite_sliding_load_follows_the_head() -> None:
 
 
 def test_finite_sliding_time_course_starts_at_its_first_row() -> None:
-    """After some degrees it is as if the head had been pressed in first."""
+    """A course that begins at some degrees acts as if the head had been pressed in before."""
     given = loaded(FORCE, FORCE)
     at_once, pressed = solve(QUARTER, stages(5, press=0), given), solve(QUARTER, stages(5), given)
     np.testing.assert_allclose(at_once[0].force, FORCE, rtol=1e-10)
@@ -138,7 +141,10 @@ def test_finite_sliding_time_course_starts_at_its_first_row() -> None:
 
 
 def test_finite_sliding_over_a_rigid_ellipsoid_equals_that_over_a_stiff_one() -> None:
-    """A head 0.4 % longer along z, which no formula describes; rigid, and with 21,000 GPa."""
+    """No formula describes the head, which is 0.4 % longer along z.
+
+    It is rigid, or has 21,000 GPa.
+    """
     data = built()
     x, head = data.points.copy(), np.unique(data.cells[data.cell_tags == data.regions["head"]])
     x[head] *= [1.0, 1.0, 1.004]
@@ -152,7 +158,10 @@ def test_finite_sliding_over_a_rigid_ellipsoid_equals_that_over_a_stiff_one() ->
 
 
 def test_finite_sliding_head_with_held_centre() -> None:
-    """An interference presses; the centre stays, and the torque is spent."""
+    """An interference presses the head.
+
+    Its centre stays, and the work of the torque is dissipated.
+    """
     held = turning((0, 0, 0), (0, 25, 0), translation="held")
     steps = solve(held, stages(5), "interfaces.bearing.gap=-0.15 mm")
     assert all((s.place == 0).all() for s in steps)
@@ -163,7 +172,7 @@ def test_finite_sliding_head_with_held_centre() -> None:
 
 @pytest.mark.parametrize("soft", [False, True])
 def test_finite_sliding_friction_varies_on_one_model(soft: bool) -> None:
-    """Matrices are taken over, and what the head has turned and slid is not."""
+    """Matrices are reused; angles and slip of the head are not."""
     runs, elastic = Runs(), "regions.head={youngs_modulus: 210 GPa, poisson_ratio: 0.3}"
     changes = [elastic] if soft else []
     for k, μ in enumerate((MU, 0, 0.2)):
@@ -180,7 +189,7 @@ def test_finite_sliding_friction_varies_on_one_model(soft: bool) -> None:
 def test_finite_sliding_head_comes_into_contact(
     μ: float, force: tuple[float, float, float]
 ) -> None:
-    """Nothing touches at first; a small load is borne by a few points."""
+    """Nothing touches at first. A few points bear a small load."""
     changes = (f"{FRICTION}={μ}", f"loads.hip.force={vector(force, ' N')}")
     clearance = "geometry.radial_clearance=0.02 mm"
     tagged = support.mesh(support.case(CUP, clearance))
@@ -190,9 +199,9 @@ def test_finite_sliding_head_comes_into_contact(
 
 
 def test_finite_sliding_head_outside_its_cup_is_an_error() -> None:
-    """Off its cup from the start, or in the middle of a cycle table.
+    """The head is off its cup from the start, or in the middle of a cycle table.
 
-    A step to far away converges or not by rounding: either is reported.
+    A step over a large distance converges or fails by rounding, and both are reported.
     """
     message = r"(head.* and the loads act in this|separated completely).*\[loose-body\]"
     for load in (loaded(-FORCE, -FORCE), loaded(FORCE, -FORCE)):

@@ -1,4 +1,4 @@
-"""Nodes that follow a surface: a cut that is tied again, uniform pressure, rotating heads."""
+"""Nodes that follow a surface: a tied cut, uniform pressure, rotating heads."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def block(size: float) -> MeshData:
 
 
 def stack(path: Path, lower: MeshData, upper: MeshData, apart: bool = True) -> str:
-    """Write a block with another, mirrored, on it: an override.
+    """Override by which a block and its mirror image are written.
 
     Nodes at one place are one node unless the blocks are meshed apart.
     """
@@ -95,7 +95,7 @@ def sliding(μ: float, **more: object) -> str:
 
 
 def test_followers_across_a_matching_cut_equal_the_uncut_body(tmp_path: Path) -> None:
-    """Where the meshes match, and everything sticks."""
+    """The meshes match, and everything sticks."""
     data, shear = block(3), "supports.guide.x=0.0001 * y"
     one = support.solve(STACK, stack(tmp_path / "one.msh", data, data, False), shear)
     two = support.solve(STACK, stack(tmp_path / "two.msh", data, data), sliding(1e3), shear)
@@ -120,7 +120,7 @@ def test_followers_across_a_matching_cut_equal_the_uncut_body(tmp_path: Path) ->
 def test_followers_transmit_uniform_pressure_between_unlike_meshes(
     sizes: tuple[float, float], points: int, error: float, order: int, tmp_path: Path
 ) -> None:
-    """Of bodies that are hardly unlike; whichever mesh is the finer one."""
+    """The meshes of the bodies differ slightly. Either one is the finer."""
     path, alike = stack(tmp_path / "stack.msh", *map(block, sizes)), "regions.upper.youngs_modulus"
     alike += "=1001 MPa"
     solved = support.solve(STACK, path, alike, sliding(0, quadrature=points), f"mesh.order={order}")
@@ -131,9 +131,10 @@ def test_followers_transmit_uniform_pressure_between_unlike_meshes(
 
 @pytest.mark.parametrize(("head", "error"), [(COCR, 0.005), (SOFT, 0.1)])
 def test_followers_rotation_without_friction_changes_little(head: str, error: float) -> None:
-    """Mean pressure within 20 degrees, force; no torque, and nothing is dissipated.
+    """Mean pressure within 20 degrees and force hardly change.
 
-    Alike bodies scatter most, by a tenth at first order on this mesh.
+    There is no torque and no dissipation. Equal bodies scatter most, by a tenth at first order on
+    this mesh.
     """
     before, *turned = solve(f"{FRICTION}=0", DRIVEN, stages(5), head)
     size = np.linalg.norm(FORCE)
@@ -150,14 +151,14 @@ def test_followers_rotation_without_friction_changes_little(head: str, error: fl
 def test_followers_friction_is_in_balance_on_a_deformable_head(
     head: tuple[str, ...], tmp_path: Path
 ) -> None:
-    """Force, moment and energy."""
+    """Force, moment and energy are in balance."""
     text = CUP.replace("regions:", "stages: []\nregions:")
     balance = support.run(text, tmp_path, *head, DRIVEN, stages(3)).summary["balance"]
     assert max(balance.values()) < 1e-8
 
 
 def pile(path: Path, *blocks: MeshData) -> str:
-    """Write blocks on each other, meshed apart: an override."""
+    """Override by which blocks are written on each other, meshed apart."""
     x, cells, facets = [], [], []
     start = 0
     for k, data in enumerate(blocks):
@@ -207,7 +208,7 @@ output: {report: false, fields: false}
 
 
 def test_followers_of_rigid_and_deformable_masters_in_one_model(tmp_path: Path) -> None:
-    """Both joints share the path of 0.5 mm: friction of 0.3 of the weight spends what moves it.
+    """Both joints share the path of 0.5 mm. Friction of 0.3 of the weight dissipates the work.
 
     A twentieth of the path is elastic.
     """
@@ -236,7 +237,7 @@ def test_followers_energy_balances_with_ordinary_contact_in_the_model(tmp_path: 
 
 
 def test_followers_of_a_rigid_master_are_paired_without_assembly() -> None:
-    """The same matrices from the first step to the last, though the surfaces are paired anew."""
+    """The matrices stay the same from the first step to the last. The surfaces are paired anew."""
     analysis = support.analysis(support.case(CUP, QUARTER, stages(5)))
     problem = analysis.problem
     assert problem is not None
@@ -269,6 +270,9 @@ def test_followers_of_a_rigid_master_are_paired_without_assembly() -> None:
     ],
 )
 def test_followers_refuse_bodies_that_cannot_rotate(changes: list[str], complaint: str) -> None:
-    """A slave, forces beside the driven boundary, weight: each names its place and remedy."""
+    """The case has a slave, forces next to the driven boundary, or weight.
+
+    Each message names place and remedy.
+    """
     with pytest.raises(InputError, match=complaint):
         support.assemble(support.case(CUP, COCR, DRIVEN, *changes))

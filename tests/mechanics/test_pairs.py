@@ -21,7 +21,7 @@ DIRECTIONS = Rotation.random(2000, random_state=7).apply([0, 0, 1])
 
 
 def plane(parts: int, seed: int, normal_z: int = 1, size: float = 20.0) -> SmoothSurface:
-    """A square about the origin, inner nodes moved at random; its normal is ``normal_z`` e_z."""
+    """A square about the origin with normal ``normal_z`` e_z. Inner nodes are moved at random."""
     x = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, parts + 1)] * 2), -1).reshape(-1, 2)
     moved = np.random.default_rng(seed).uniform(-0.2, 0.2, x.shape) / parts
     x += np.where(np.abs(x) < 0.49, moved, 0.0)
@@ -64,7 +64,7 @@ def test_pairs_transmit_uniform_pressure_between_unlike_meshes(
 ) -> None:
     """A uniform pressure has the master's nodal areas as forces, to the error of the quadrature.
 
-    Linear fields of the master are reproduced exactly by any quadrature.
+    Any quadrature reproduces linear fields of the master exactly.
     """
     for seed in range(4):
         slave, master = plane(7, seed), plane(5, seed + 10, normal_z=-1)
@@ -80,9 +80,9 @@ def test_pairs_transmit_uniform_pressure_between_unlike_meshes(
 
 
 def test_pairs_mortar_rows_of_a_partly_covered_slave() -> None:
-    """A slave wider than its master has dual rows inside, shape functions at the master's rim.
+    """A slave wider than its master has dual rows inside, and shape functions at the master's rim.
 
-    Outside the rim, and beyond the reach, a node has no dual row.
+    Nodes outside the rim, or beyond the reach, have no dual row.
     """
     slave, master = plane(12, 1, size=30.0), plane(8, 2, normal_z=-1)
     pairs = mortar(slave.x, slave.triangles, master)
@@ -104,7 +104,7 @@ def test_pairs_mortar_rows_of_a_partly_covered_slave() -> None:
 
 
 def test_pairs_closest_points_are_closest() -> None:
-    """No sample of the surface is closer; the sign of the distance is that of the outside."""
+    """No sample of the surface is closer. The distance is positive outside."""
     master = sphere(300, lowest=0.0)
     barycentric = np.concatenate([np.eye(3), triangle_rule(192)[0]])
     points = DIRECTIONS[:300] * np.linspace(0.8, 1.3, 300)[:, None] * RADIUS

@@ -1,4 +1,4 @@
-"""Stems drawn and written by OpenCASCADE, as an implant maker would send them.
+"""Stems drawn and written by OpenCASCADE, in the form of an implant maker's files.
 
 Axes: z proximal from the tip, x medial [mm].
 """
@@ -79,7 +79,7 @@ def write(name: str, folder: Path, **changes: Any) -> Path:
 
 
 def _rename(path: Path, unit: str) -> None:
-    """Say in a STEP file that its millimetres are of another unit."""
+    """Change the unit of length in a STEP file."""
     text = path.read_text()
     start = text.rindex("#", 0, text.index(MILLIMETRE))
     line = text[start : text.index(";", start) + 1]
@@ -94,7 +94,7 @@ def _rename(path: Path, unit: str) -> None:
 
 
 def _rectangle(occ: Any, a: float, b: float, r: float, x: float, z: float) -> int:
-    """A wire around a rounded rectangle, or one with sharp corners."""
+    """A wire around a rectangle with rounded or sharp corners."""
     if r == 0:
         points = [
             occ.addPoint(x + u * a, v * b, z) for u, v in ((1, -1), (1, 1), (-1, 1), (-1, -1))

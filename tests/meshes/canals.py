@@ -1,4 +1,4 @@
-"""Straight round canals and rods, whose best position is known."""
+"""Straight round canals and rods, which have a known best position."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Search for the position with the most room."""
+"""Search for the position with the most room for cement."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ LIMITS = Limits(math.radians(3), math.radians(3), math.radians(10), 4.0, 4.0)
 
 @pytest.fixture(autouse=True)
 def new_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No position of an earlier search is known."""
+    """Use a cache without positions of earlier searches."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
 
 def wanted(theta: object, z: object) -> float:
-    """Thickness that is asked for [mm]."""
+    """Thickness requested by the case [mm]."""
     return WANTED
 
 
@@ -71,7 +71,10 @@ def test_best_position_never_has_less_room_than_the_given_one() -> None:
 
 
 def test_best_position_places_a_stem_that_does_not_fit() -> None:
-    """A stem in 3 deg of varus cuts the cortex; the search finds room, and the keys are numbers."""
+    """A stem in 3 deg of varus cuts the cortex.
+
+    The search finds room, and the case gets numbers for keys.
+    """
     given = {"insertion": {"varus": "3 deg"}, "stem": {"length": "130 mm"}, "tip_z": "-101 mm"}
     before = Femur.model_validate(given)
     stem = StemSurface.of(before.implant, before.placement)
@@ -97,7 +100,10 @@ def test_best_position_without_room_is_refused() -> None:
 
 
 def test_best_position_is_searched_once_for_a_geometry(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Other cases and other processes read it; not after a change of what it depends on."""
+    """Other cases and other processes read the position.
+
+    A change of its inputs causes a new search.
+    """
     searches: list[str] = []
 
     def counted(canal: object, stem: object, start: Position, *more: object) -> Position:

@@ -1,4 +1,4 @@
-"""Stems from files of CAD: read, meshed, solved, and refused in words."""
+"""Stems from files of CAD: read, meshed, solved, or refused with a reason."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def off(file: Path, x: Floats) -> Floats:
 
 
 def check(file: Path, mesh: str, least: float) -> None:
-    """Corners of cells are on the faces of the file, and cells have a shape."""
+    """Corners of cells are on the faces of the file, and cells are well shaped."""
     known = load(case(file, mesh)).config
     data = meshes.build(known.geometry, known.mesh)
     assert quality.quality_without_length(data.points, data.cells).min() > least
@@ -76,7 +76,7 @@ def test_cad_stem_corners_lie_on_faces(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["parametric", "charnley", "sharp"])
 def test_cad_stem_lines_follow_section_corners(name: str, tmp_path: Path) -> None:
-    """On the ends of the arcs of round corners, on sharp corners: as the stem was drawn."""
+    """Lines are at the ends of arcs of round corners, and on sharp corners."""
     known = load(case(cad_stems.write(name, tmp_path), "{size: 6 mm}")).config
     surfaces = LayeredSurfaces(known.geometry, known.mesh)
     phi = np.arange(surfaces.around) / surfaces.around
@@ -100,7 +100,7 @@ def test_cad_stem_lines_follow_section_corners(name: str, tmp_path: Path) -> Non
 def test_cad_stem_curved_facets_follow_shoulder_and_neck(
     name: str, most: float, tmp_path: Path
 ) -> None:
-    """Middles of facets on the interface are on the faces of the file, at edges along too."""
+    """Middles of facets on the interface are on the faces of the file, also along edges."""
     known = load(case(cad_stems.write(name, tmp_path), "{size: 6 mm}")).config
     data = meshes.build(known.geometry, known.mesh)
     low, high, *_, medial = known.geometry.stem.shape["in_file"]
@@ -115,7 +115,10 @@ def test_cad_stem_curved_facets_follow_shoulder_and_neck(
 
 @pytest.mark.parametrize("name", ["anatomic", "exeter"])
 def test_cad_stem_lines_do_not_turn_at_the_neck_cut(name: str, tmp_path: Path) -> None:
-    """Where the neck begins, an outline has other corners; lines go on straight along the stem."""
+    """At the start of the neck the outline has other corners.
+
+    Lines continue straight along the stem.
+    """
     known = load(case(cad_stems.write(name, tmp_path), "{size: 6 mm}")).config
     surfaces = LayeredSurfaces(known.geometry, known.mesh)
     phi = np.arange(surfaces.around) / surfaces.around
@@ -131,7 +134,10 @@ def test_cad_stem_lines_do_not_turn_at_the_neck_cut(name: str, tmp_path: Path) -
 def test_cad_stem_check_reports_axis_head_and_neck(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Head, neck and length as drawn, in inches; given values replace detected ones."""
+    """Head, neck and length agree with the drawing, in inches.
+
+    Given values replace detected ones.
+    """
     path = case(cad_stems.write("inch", tmp_path))
     assert main(["check", str(path)]) == 0
     output = capsys.readouterr().out
@@ -189,7 +195,7 @@ def test_cad_stem_refuses_other_solids(what: str, why: str, tmp_path: Path) -> N
 
 @pytest.mark.parametrize("size", [4.0, 3.9])
 def test_cad_stem_nonconvex_sections_mesh(tmp_path: Path, size: float) -> None:
-    """Means of the outline lie outside of it there, and cells were inverted."""
+    """The centre of the outline is outside of it. Cells were inverted there."""
     known = load(case(cad_stems.write("anatomic", tmp_path), f"{{size: {size} mm}}")).config
     data = meshes.build(known.geometry, known.mesh)
     assert data.notes["quality"]["sicn_min_by_region"]["stem"] > 0.02
@@ -213,7 +219,7 @@ COLLAR = (
 
 @pytest.mark.parametrize("name", ["sharp", "deep"])
 def test_cad_stem_has_a_collar_on_the_cut(name: str, tmp_path: Path) -> None:
-    """Its sections in the collar are parallel to the cut, so that the plate is even."""
+    """Sections in the collar are parallel to the cut, so the plate is even."""
     known = load(case(cad_stems.write(name, tmp_path)), COLLAR).config
     data, placement = meshes._make(known.geometry, known.mesh), known.geometry.placement
     x = data.points[np.unique(data.cells[data.cell_tags == data.regions["collar"], :4])]
@@ -262,9 +268,9 @@ def test_cad_stem_every_stem_is_meshed(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_cad_stem_of_the_parametric_stem_has_equal_results(tmp_path: Path) -> None:
-    """Near the reported errors, of which 91 of 100 hold.
+    """Results differ by the reported errors, which hold for 91 of 100.
 
-    Below the cut the stems are the same. Their lines differ, and necks turn away differently.
+    Below the cut the stems are the same. Their lines and necks differ.
     """
     plain = tmp_path / "plain.yaml"
     plain.write_text("base: stance\nmesh: {size: 8 mm}\n")

@@ -17,7 +17,7 @@ def box(kind: mesh.CellType = mesh.CellType.tetrahedron) -> mesh.Mesh:
 
 
 def test_distribute_names_parts_by_their_place() -> None:
-    """Half of 48 cells below; 8 triangles on each face; a boundary inside is none."""
+    """Half of 48 cells are below. Each face has 8 triangles. An interior boundary has no name."""
     tagged = TaggedMesh.from_markers(
         box(),
         {"lower": lambda x: x[2] <= 1, "upper": lambda x: x[2] >= 1},

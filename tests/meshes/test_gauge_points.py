@@ -1,4 +1,4 @@
-"""Points of strain gauges on facets: disc, tangent plane, and circles that do not fit."""
+"""Points of strain gauges on facets: discs, tangent planes, circles that do not fit."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def places(x: Floats, facet: Floats, share: Floats) -> Floats:
 
 
 def test_gauge_points_integrate_polynomials_over_the_circle() -> None:
-    """Mean of x^2, x^4 and x^2 y^2 over a circle: R^2/4, R^4/8, R^4/24."""
+    """Means of x^2, x^4 and x^2 y^2 over a circle are R^2/4, R^4/8, R^4/24."""
     gauge = gauge_points(PLATE, (5, 5, 0.4), None, (1, 0, 1), 4.0)
     x, y, z = (places(PLATE, gauge.facet, gauge.share) - [5, 5, 0]).T
     assert gauge.weight.sum() == pytest.approx(1)
@@ -60,7 +60,7 @@ def test_gauge_points_integrate_polynomials_over_the_circle() -> None:
 
 @pytest.mark.parametrize("curved", [True, False])
 def test_gauge_points_lie_in_the_tangent_plane_of_a_sphere(curved: bool) -> None:
-    """The normal is radial; mean of the squared distance from it is R^2/2 of the gauge."""
+    """The normal is radial. The mean of the squared distance from it is R^2/2 of the gauge."""
     at = np.array([3.0, -5.0, 4.0])
     radial = at / np.linalg.norm(at)
     x = sphere(curved=curved)
@@ -97,7 +97,7 @@ def test_gauge_points_refuse_what_does_not_fit(
 
 
 def test_gauge_points_name_the_largest_circle_that_fits() -> None:
-    """On a sphere of 14 mm the surface bends by 60 degrees at a radius of 12.1 mm."""
+    """A sphere of 14 mm bends by 60 degrees at a radius of 12.1 mm."""
     with pytest.raises(GaugeFault, match="bends by more than 60 degrees") as caught:
         gauge_points(sphere(), (0, 0, 0), (1, 2, 3), (0, 0, 1), 26.0)
     assert "at most about 23 mm" in caught.value.remedy

@@ -20,7 +20,10 @@ ZONES = Zones(GEOMETRY)
 
 
 def test_gruen_zones_are_numbered_as_on_a_radiograph() -> None:
-    """1 to 3 lateral and 8 to 10 anterior downwards, then 4 and 11, then up on the other side."""
+    """Zones 1 to 3 are lateral and 8 to 10 anterior downwards.
+
+    Zones 4 and 11 follow, then the others upwards on the other side.
+    """
     third = (ZONES.top - ZONES.tip) / 3
     high, middle, low, below = (ZONES.tip + third * k for k in (2.5, 1.5, 0.5, -0.2))
     for z, lateral, medial, anterior, posterior in (
@@ -36,9 +39,9 @@ def test_gruen_zones_are_numbered_as_on_a_radiograph() -> None:
 
 
 def test_gruen_thirds_are_of_the_length_in_the_bone() -> None:
-    """From the tip to where the axis of the stem leaves the neck cut; 20 mm below it none.
+    """Thirds are between the tip and the point where the axis of the stem leaves the neck cut.
 
-    Zones 4 and 11 begin where the stem's end is rounded.
+    There is no zone 20 mm below the tip. Zones 4 and 11 begin at the rounding of the stem's end.
     """
     normal, level = cut(GEOMETRY)
     assert normal @ [0.0, 0.0, ZONES.top] == pytest.approx(level)
@@ -56,7 +59,7 @@ def test_gruen_thirds_are_of_the_length_in_the_bone() -> None:
 
 
 def test_gruen_rim_and_tip_follow_cut_and_end() -> None:
-    """By hand: a cut at 45 degrees that leaves the anterior cortex at z = 5 mm."""
+    """A cut at 45 degrees, by hand, leaves the anterior cortex at z = 5 mm."""
     cut = {"resection": FemurResection(angle="45 deg"), "anteversion": np.pi / 2}
     zones = Zones(GEOMETRY.model_copy(update=cut))
     r = float(femur_bone.PERIOSTEUM.radius(np.array(np.pi / 2), np.array(5.0)))
@@ -69,7 +72,10 @@ def test_gruen_rim_and_tip_follow_cut_and_end() -> None:
 
 
 def test_gruen_zones_are_robust_to_rounding() -> None:
-    """Layered meshes put points on the planes between zones; another BLAS rounds otherwise."""
+    """Layered meshes have points on the planes between zones.
+
+    BLAS libraries round them differently.
+    """
     third = (ZONES.top - ZONES.tip) / 3
     levels = ZONES.tip + np.array([-BELOW_TIP, 0.0, third, 2 * third])
     normal, level = cut(GEOMETRY)
@@ -83,7 +89,7 @@ def test_gruen_zones_are_robust_to_rounding() -> None:
 
 
 def test_gruen_zones_exclude_stem_cement_and_neck() -> None:
-    """Stem, cement and neck; the bone beside them stays."""
+    """Stem, cement and neck are left out. The bone next to them counts."""
 
     def left(*points: tuple[float, float, float]) -> list[bool]:
         on_left: list[bool] = ZONES.is_left(np.array(points)).tolist()
@@ -126,7 +132,7 @@ loads:
 
 
 def test_gruen_strain_energy_is_half_the_work_of_loads() -> None:
-    """Summed over all points, whatever the law: Clapeyron."""
+    """Clapeyron's theorem holds for the sum over all points, for any law."""
     solved = support.solve(CASE)
     stresses = Stresses(solved.problem)
     total = 0.0
@@ -146,14 +152,14 @@ def test_gruen_strain_energy_is_half_the_work_of_loads() -> None:
 
 
 def _rollers(*sides: str) -> str:
-    """A support of each side across it."""
+    """Supports of each side, normal to it."""
     axes = {side: side[0] if side[0] in "xy" else "z" for side in sides}
     each = [f"{s}: {{kind: roller, boundary: {s}, axis: {a}}}" for s, a in axes.items()]
     return f"{{{', '.join(each)}}}"
 
 
 def test_gruen_free_strain_has_no_energy() -> None:
-    """A stack that swells freely, and then one that is held: E e^2 / 2 (1 - 2 nu) times 3."""
+    """A stack swells freely, then is held: the energy is E e^2 / 2 (1 - 2 nu) times 3."""
     free = "{strain: [1e-3, 1e-3, 1e-3, 0, 0, 0]}"
     swelling = (
         "loads={}",

@@ -1,4 +1,4 @@
-"""Layers around a stem without cement: the stem is exact, the bone gives way."""
+"""Layers around a stem without cement: the stem is exact, the bone is cut."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def pressed() -> MeshData:
 
 
 def test_layered_surfaces_without_cement_divide_the_same_femur(pressed: MeshData) -> None:
-    """Bone takes the place of the cement: stem and whole are those of a cemented femur."""
+    """Bone replaces the cement. Stem and outside are those of a cemented femur."""
     volumes = region_volumes(pressed)
     cemented = region_volumes(_make(femur(cement_thickness="4 mm", tip_void="5 mm"), MESH))
     assert set(volumes) == {"stem", "cortical_bone", "cancellous_bone"}
@@ -61,7 +61,7 @@ def test_layered_surfaces_refuse_a_stem_that_leaves_too_little_cortex() -> None:
 
 
 def test_layered_surfaces_zones_leave_out_the_cortex_that_a_stem_takes() -> None:
-    """Beside a stem that reaches into the cortex the bone of the intact femur is not left."""
+    """The bone of the intact femur is gone where a stem reaches into the cortex."""
     wide, cemented = femur(stem=FILLING), femur(cement_thickness="4 mm", stem=FILLING)
     z = -60.0
     x = np.array([[r, 0.0, z] for r in np.linspace(0.0, 14.0, 29)])

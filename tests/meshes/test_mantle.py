@@ -1,4 +1,4 @@
-"""The thickness of a mantle, where it is known."""
+"""Mantles of known thickness."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def mesh(geometry: Cylinders = ROD, size: str = "3 mm", curved: bool = True) -> 
 
 @pytest.mark.parametrize(("curved", "within"), [(True, 0.02), (False, 0.2)])
 def test_mantle_thickness_of_concentric_cylinders(curved: bool, within: float) -> None:
-    """To 0.02 mm on curved cells; to 0.2 mm on flat ones, as chords of 3 mm allow."""
+    """Curved cells have an error of 0.02 mm, flat ones of 0.2 mm by chords of 3 mm."""
     note = mesh(curved=curved).notes["mantle"]
     thickness = note["thickness"]
     for key in ("nominal", "min", "p5", "median", "mean", "p95", "max"):
@@ -49,7 +49,7 @@ def test_mantle_thickness_of_concentric_cylinders(curved: bool, within: float) -
 
 
 def eccentric(by: float) -> MeshData:
-    """The rod with its stem moved sideways, the cement following."""
+    """The rod with its stem moved sideways, and the cement deformed."""
     data = mesh(size="2 mm")
     x = data.points.copy()
     r = np.hypot(x[:, 0], x[:, 1])
@@ -58,7 +58,7 @@ def eccentric(by: float) -> MeshData:
 
 
 def test_mantle_percentiles_and_clipped_part_are_by_area() -> None:
-    """Between eccentric circles: the exact distance, all around."""
+    """The distance between eccentric circles is exact all around."""
     by = 1.5
     thickness = mantle.describe(eccentric(by), THICKNESS, -math.inf)["thickness"]
     turn = np.linspace(0.0, 2 * np.pi, 100_000)
@@ -74,7 +74,7 @@ def test_mantle_percentiles_and_clipped_part_are_by_area() -> None:
 
 
 def test_mantle_thickness_by_gruen_zone() -> None:
-    """Beside a stem moved medially; all of the rod is in the proximal third."""
+    """The stem is moved medially. The whole rod is in the proximal third."""
     by = 1.5
     zones = mantle.describe(eccentric(by), THICKNESS, -math.inf, Zones(Femur()))["gruen"]
     assert set(zones) == {"1", "7", "8", "14"}
@@ -93,7 +93,7 @@ def test_mantle_thickness_by_gruen_zone() -> None:
 
 
 def test_mantle_below_the_tip_is_the_plug() -> None:
-    """A level in the middle of the cells: half of the volume, and no thickness below."""
+    """A level in the middle of the cells has half of the volume below it, and no thickness."""
     data = eccentric(0.0)
     half = mantle.describe(data, THICKNESS, 0.5 * LENGTH)
     assert half["plug_volume"] == pytest.approx(0.5 * half["volume"], rel=6e-3)
@@ -122,7 +122,7 @@ def test_mantle_section_is_filled_with_closed_outlines(curved: bool) -> None:
 
 
 def test_mantle_is_absent_in_a_stack_of_blocks() -> None:
-    """Whatever its parts are called."""
+    """Names of parts do not matter."""
     blocks = [{"name": n, "size": "[4, 4, 4] mm"} for n in ("stem", "cement", "bone")]
     stack = Blocks.model_validate({"blocks": blocks})
     assert "mantle" not in meshes.build(stack, MeshOptions(size="3 mm")).notes

@@ -17,7 +17,7 @@ from tests.meshes.canals import CUT, IMPLANT, RADIUS, START, rod, tube
 
 
 def test_room_of_a_round_canal_is_its_clearance() -> None:
-    """Linear interpolation between nodes: h^2 / (8 r) = 0.02 mm at r = 6 mm."""
+    """Linear interpolation between nodes has an error of h^2 / (8 r) = 0.02 mm at r = 6 mm."""
     canal = room.canal_of(CUT, tube((1.0, -2.0), (0.0, 0.0)))
     rng = np.random.default_rng(2)
     r, theta, z = rng.uniform(5.0, 15.0, 500), rng.uniform(-np.pi, np.pi, 500), -100.0
@@ -28,7 +28,7 @@ def test_room_of_a_round_canal_is_its_clearance() -> None:
 
 
 def test_room_is_the_thickness_of_the_meshed_cement() -> None:
-    """Least room is the least thickness of the mesh's cement, to 0.1 mm."""
+    """The least room is the least thickness of the mesh's cement, to 0.1 mm."""
     geometry = Femur.model_validate(
         {
             "cement_thickness": "5 mm",
@@ -51,7 +51,7 @@ def test_room_of_a_stem_above_the_cut_is_refused() -> None:
 
 
 def test_room_without_cement_is_the_cortex_left_above_the_least() -> None:
-    """Lines from stem to periosteum are oblique by a few degrees: within 0.15 mm."""
+    """Lines from stem to periosteum are oblique by a few degrees, so agreement is to 0.15 mm."""
     geometry = Femur.model_validate({"cement_thickness": "0 mm", "tip_void": "5 mm"})
     mesh = MeshOptions.model_validate({"size": "6 mm"}).model_copy(update={"curved": True})
     surfaces = LayeredSurfaces(geometry, mesh)

@@ -1,4 +1,4 @@
-"""The femur's layers: exact surfaces, sizes, first attempts, the same bytes everywhere."""
+"""The femur's layers: exact surfaces, sizes, first attempts, equal meshes on all machines."""
 
 from __future__ import annotations
 
@@ -12,25 +12,14 @@ import numpy as np
 import pytest
 
 from app.case.femurs import FemurResection
-from app.case.geometries import Femur, IntactFemur, MeshOptions
+from app.case.geometries import Femur, IntactFemur
 from app.case.hips import MUSCLES
-from app.case.stems import Stem
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
-from meshes import (
-    femur,
-    femur_bone,
-    femur_intact,
-    femur_stem,
-    quality,
-    reference_body,
-    swept,
-    write_msh,
-)
+from meshes import femur, femur_bone, femur_intact, femur_stem, quality, swept, write_msh
 from meshes.bone_layers import TableLayers
 from meshes.data import (
     EDGES,
-    MeshData,
     boundary_facets,
     exterior_facets,
     facet_areas,
@@ -43,25 +32,9 @@ from meshes.femur_bone import FemurBone
 from meshes.gmsh_session import session
 from meshes.layered_surfaces import LayeredSurfaces as Surfaces
 from tests import support
-from tests.patient.bones import cut, turned
+from tests.meshes.femurs import built, hip, sized
+from tests.patient.bones import turned
 from tests.support import digest
-
-
-def hip(**values: Any) -> Femur:
-    """A femur with some parameters, of itself or of its stem, in mm and radians."""
-    numbers = {key: values.pop(key) for key in [*values] if key in Stem.model_fields}
-    stem = Stem().model_copy(update=numbers)
-    return Femur().model_copy(update=values | {"stem": stem})
-
-
-@cache
-def built(size: float, curved: bool = False, **values: Any) -> MeshData:
-    return femur.build(hip(**values), sized(size, curved))
-
-
-def sized(size: float, curved: bool = False, **values: Any) -> MeshOptions:
-    return MeshOptions(size=f"{size!r} mm", curved=curved, **values)
-
 
 # ------------------------------------------------------------------------------ exact surfaces
 
@@ -69,7 +42,7 @@ def sized(size: float, curved: bool = False, **values: Any) -> MeshOptions:
 @pytest.mark.parametrize("curved", [False, True])
 @pytest.mark.parametrize("thickness", [2.0, 4.0])
 def test_swept_nodes_are_on_exact_surfaces(thickness: float, curved: bool) -> None:
-    """Stem's body everywhere; the mantle's outer side but where a layer ends."""
+    """The stem's body is exact everywhere, the mantle's outer side except at the end of a layer."""
     data = built(6.0, curved, cement_thickness=thickness)
     geometry = hip(cement_thickness=thickness)
     body = femur_stem.shaft_of(geometry.implant)
@@ -110,7 +83,7 @@ def test_swept_nodes_are_on_exact_surfaces(thickness: float, curved: bool) -> No
 
 @pytest.mark.parametrize("build", [femur.build, femur_intact.build])
 def test_swept_anteversion_rotates_stem_not_bone(build: Any) -> None:
-    """By 15 degrees to anterior: what is of the stem turns, the outside of the bone stays."""
+    """The stem turns by 15 degrees to anterior; the outside of the bone stays."""
     angle = np.deg2rad(15.0)
     kind = Femur if build is femur.build else IntactFemur
     geometry = kind().model_copy(update={"anteversion": angle})
@@ -137,7 +110,10 @@ def test_swept_anteversion_rotates_stem_not_bone(build: Any) -> None:
 
 @pytest.mark.parametrize("fillet", [3.0, 6.0])
 def test_swept_stem_joins_the_neck_with_the_fillet(fillet: float) -> None:
-    """Least radius, by differences along lines, which have no corners from the shoulder on."""
+    """The least radius comes from differences along lines.
+
+    These have no corners above the shoulder.
+    """
     upper = Surfaces(hip(neck_fillet=fillet), sized(4.0)).stem.upper
     s = np.linspace(upper.ends[0], upper.ends[-1], 40001)
     turning = ((s > upper.ends[1]) & (s < upper.ends[2]))[1:-1]
@@ -153,7 +129,7 @@ def test_swept_stem_joins_the_neck_with_the_fillet(fillet: float) -> None:
 
 
 def test_swept_void_below_the_tip_has_no_cement() -> None:
-    """As far as asked for, over the section of the stem; nothing bears on the end."""
+    """The void has the given height over the section of the stem. Nothing bears on the end."""
     data, full = built(6.0, True, tip_void=5.0), built(6.0, True, tip_rounding=0.0)
     left, whole = (region_volumes(d)["cement"] for d in (data, full))
     a, b, r = femur_stem.shaft_of(hip().implant).section(np.linspace(-123.0, -118.0, 1001))
@@ -168,7 +144,7 @@ def test_swept_void_below_the_tip_has_no_cement() -> None:
 
 @pytest.mark.parametrize("least_size", [5.0, pytest.param(1.5, marks=pytest.mark.slow)])
 def test_swept_unknowns_grow_steadily_with_refinement(least_size: float) -> None:
-    """Five per cent smaller cells: at most two fifths more nodes, from 10 mm on."""
+    """Cells smaller by five per cent give at most two fifths more nodes, from 10 mm on."""
     sizes = 10.0 * 0.95 ** np.arange(int(np.log(least_size / 10.0) / np.log(0.95)) + 1)
     nodes = np.array([len(femur.build(hip(), sized(float(s), order=1)).points) for s in sizes])
     assert (nodes[1:] / nodes[:-1]).max() < 1.4
@@ -176,7 +152,7 @@ def test_swept_unknowns_grow_steadily_with_refinement(least_size: float) -> None
 
 @pytest.mark.parametrize(("size", "lines"), [(8.0, 28), (6.0, 36), (5.0, 44), (4.0, 56)])
 def test_swept_size_sets_lines_and_steps(size: float, lines: int) -> None:
-    """Distances of lines are a fraction of the size where lines are counted; steps are the size."""
+    """Distances of lines are a fraction of the size; steps are the size."""
     surfaces = Surfaces(hip(), sized(size))
     assert surfaces.around == lines
     a, b, r = surfaces.stem.shaft.section(surfaces.stem.middle)
@@ -202,7 +178,7 @@ def test_swept_lines_are_closer_in_thin_cement(thickness: float, ratio: float) -
 
 
 def test_swept_lines_and_steps_have_separate_lengths() -> None:
-    """A distance of lines, a step along, and the rest of the mesh by the size."""
+    """The case gives a distance of lines and a step. The size applies to the rest."""
     base, given = (
         Surfaces(hip(), sized(6.0, **more)) for more in ({}, {"around": "2.2 mm", "along": "3 mm"})
     )
@@ -218,7 +194,7 @@ def test_swept_lines_and_steps_have_separate_lengths() -> None:
     [(16, [1, 2, 1]), (24, [1, 3, 2]), (28, [1, 4, 2]), (36, [2, 4, 3]), (44, [2, 5, 4])],
 )
 def test_swept_lines_follow_the_ends_of_arcs(around: int, pieces: list[int]) -> None:
-    """Of half a side, the corner's arc and half a front, in level and in oblique sections."""
+    """Arcs are half a side, the corner and half a front, in level and in oblique sections."""
     surfaces = Surfaces(hip(), sized(6.0, around=around))
     ends = np.array([pieces[0], pieces[0] + pieces[1]]) / around
     for zeta, slope in product(np.linspace(-117.0, 20.0, 30), (0.0, 0.7)):
@@ -238,17 +214,8 @@ def test_swept_lines_leave_arcs_of_round_sections() -> None:
     assert edges.min() > edges.mean() / 6
 
 
-@pytest.mark.parametrize("around", [24, 28, 44])
-def test_femur_intact_surface_is_closed(around: int) -> None:
-    """Each edge of its surface is on two facets: lines on flat sides of the stem leave no hole."""
-    data = femur_intact.build(IntactFemur(), sized(6.0, around=around))
-    facets, _ = exterior_facets(data.cells)
-    edges = np.sort(facets[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
-
-
 def test_swept_lines_and_cells_through_cement_can_be_given() -> None:
-    """Any number of lines, even an odd one; several cells through each layer."""
+    """The case gives any number of lines, even an odd one, and several cells through each layer."""
     data = femur.build(hip(), sized(6.0, True, around=13, through_cement=3))
     notes = data.notes["layers"]
     assert (notes["lines_around"], notes["cells_through"][0]) == (13, 3)
@@ -266,32 +233,6 @@ def test_swept_coarser_mesh_has_larger_cells() -> None:
     assert sized(3.0, around=27).coarser(1.5).around == 18
     lengths = sized(3.0, around="1.2 mm", along="4 mm").coarser(1.5)
     assert (lengths.around, lengths.along) == pytest.approx((1.8, 6.0))
-
-
-# ------------------------------------------------------------------------------ reference body
-
-
-def test_reference_body_volumes_and_coordinates() -> None:
-    """Volume by region of straight rings about an ellipse, and linear mean value coordinates."""
-    turn = 2 * np.pi * np.arange(9) / 9
-    outline = np.stack([5 * np.cos(turn), 3 * np.sin(turn)], axis=1)
-    segments = (
-        reference_body.Segment(2, ("a", "b", "c")),
-        reference_body.Segment(3, ("d",)),
-    )
-    body = reference_body.make(outline, (2, 3), segments)
-    a, b, c = body.section[body.columns].transpose(1, 0, 2)
-    (p, q), (u, v) = (b - a).T, (c - a).T
-    areas = 0.5 * np.abs(p * v - q * u)
-    core = 0.5 * 9 * 15 * np.sin(2 * np.pi / 9)
-    volumes = np.bincount(body.region, weights=areas)
-    np.testing.assert_allclose(volumes, core * np.array([2, 2 * 3, 2 * 5, 3]), rtol=1e-9)
-    assert (body.names, set(body.slab[body.region == 3])) == (("a", "b", "c", "d"), {2, 3, 4})
-    sheared = outline + np.outer(outline[:, 1], [reference_body.SHEAR, 0.0])
-    inside = body.section[9 * len(body.rho) :]
-    inside = inside + np.outer(inside[:, 1], [reference_body.SHEAR, 0.0])
-    np.testing.assert_allclose(body.weights @ sheared, inside, atol=1e-12)
-    assert (body.weights > 0).all()
 
 
 def test_swept_needs_gmsh() -> None:
@@ -318,23 +259,6 @@ def test_swept_mesh_opens_in_gmsh_with_groups(tmp_path: Path) -> None:
         assert len(groups[name][0]) == len(np.unique(interface_facets(data, name)[0]))
 
 
-# ------------------------------------------------------------------------------ shared shaft
-
-
-def test_femur_intact_shares_the_shaft_cells() -> None:
-    options = sized(6.0)
-    whole, operated = femur_intact.build(IntactFemur(), options), built(6.0)
-    normal, level = cut(hip())
-
-    def below(data: MeshData) -> set[tuple[tuple[float, ...], ...]]:
-        corners = data.points[data.cells]
-        kept = corners[(corners @ normal < level + 1e-5).all(axis=1)]
-        return {tuple(sorted(map(tuple, cell))) for cell in kept.tolist()}
-
-    assert below(whole) == below(operated)
-    assert len(below(whole)) > 3000
-
-
 # ------------------------------------------------------------------------------ first attempts
 
 
@@ -358,7 +282,7 @@ def random_hip(rng: np.random.Generator) -> tuple[dict[str, float], float, bool]
     [(20, 20, 5.01), pytest.param(200, 200, 2.0, marks=pytest.mark.slow)],
 )
 def test_swept_random_hips_mesh_at_first_attempt(seed: int, number: int, least_size: float) -> None:
-    """Hips that anatomy forbids are refused in words; all others mesh, and well."""
+    """Anatomically impossible hips are refused with a reason. All others have good meshes."""
     rng = np.random.default_rng(seed)
     made = refused = 0
     while made < number:
@@ -383,7 +307,7 @@ def test_swept_random_hips_mesh_at_first_attempt(seed: int, number: int, least_s
 
 
 def test_swept_random_hips_mesh_as_companions() -> None:
-    """With four lines around no cell is inverted, curved or not."""
+    """A mesh with four lines around has no inverted cell, curved or not."""
     rng = np.random.default_rng(7)
     for _ in range(12):
         values, _, curved = random_hip(rng)
@@ -395,35 +319,8 @@ def test_swept_random_hips_mesh_as_companions() -> None:
             assert worst > 0.02, (values, size, curved)
 
 
-@pytest.mark.parametrize(
-    ("curved", "size"),
-    [(False, size) for size in (8.0, 7.0, 6.0, 5.01, 5.0, 4.0, 3.0, 2.5, 2.0)]
-    + [(True, size) for size in (8.0, 6.0, 5.0, 3.0)]
-    + [pytest.param(True, 2.0, marks=pytest.mark.slow)],
-)
-def test_femur_intact_cells_are_good(curved: bool, size: float) -> None:
-    data = femur_intact.build(IntactFemur(), sized(size, curved))
-    assert quality.quality_without_length(data.points, data.cells).min() > 0.07
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"head_radius": 18.0},
-        {"head_radius": 30.0},
-        {"cement_thickness": 7.0, "canal_widening": 2.0},  # lines without a layer, up to the head
-        {"resection": FemurResection(angle="0.87 rad")},
-    ],
-)
-def test_femur_intact_with_other_parameters_meshes_well(values: dict[str, object]) -> None:
-    geometry = IntactFemur().model_copy(update=values)
-    for size in (8.0, 5.0):
-        data = femur_intact.build(geometry, sized(size, False))
-        assert quality.quality_without_length(data.points, data.cells).min() > 0.08, size
-
-
 def test_swept_stem_of_any_length_meshes() -> None:
-    """172 mm, which had none, and one from the shelf that stands out of a low cut."""
+    """One stem of 172 mm had no mesh before. Another one stands out of a low cut."""
     assert built(6.0, length=172.0, tip_z=-143.0).cells.size
     levels = {"section_depth": 32.0, "head_height": 7.0}
     resection = FemurResection(height="-10 mm", angle="0.3 rad")
@@ -433,7 +330,7 @@ def test_swept_stem_of_any_length_meshes() -> None:
 
 @pytest.mark.parametrize(("size", "curved"), [(6.0, False), (4.0, True)])
 def test_swept_low_head_neck_is_clear_of_bone(size: float, curved: bool) -> None:
-    """At 45 mm, with all else as it is: the neck passes 2 mm above the bone, in good cells."""
+    """A head at 45 mm moves the neck 2 mm above the bone, in good cells."""
     data = built(size, curved, head_height=16.0)
     cut = data.points[np.unique(boundary_facets(data, "resection"))]
     middle = cut.mean(axis=0)
@@ -473,7 +370,7 @@ def test_swept_impossible_geometry_is_refused(values: dict[str, float], words: s
 
 
 def test_swept_section_that_is_not_star_shaped_is_refused() -> None:
-    """A ledge in the canal, which a line to the turned neck cut meets three times."""
+    """A line to the turned neck cut meets a ledge in the canal three times."""
     surfaces = _plain()
 
     class Ledged(FemurBone):
@@ -510,7 +407,7 @@ def test_swept_size_estimate_is_within_an_eighth(kind: Any, size: float) -> None
 
 
 def test_swept_patches_have_the_area_of_discs() -> None:
-    """To half a facet, at any size."""
+    """The area agrees to half a facet, at any size."""
     for size in (8.0, 6.0, 3.0):
         data = built(size)
         for name in MUSCLES:

@@ -1,4 +1,4 @@
-"""Static condensation: S, the Jacobian's inverse, the choice, and what errors in S lead to."""
+"""Static condensation: S, inverse of the Jacobian, choice of the method, errors in S."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CONDENSED = "solver.linear=condensed"
 
 
 def test_condensed_bodies_with_new_pairs_reuse_factors() -> None:
-    """S and displacements of a body that nothing holds, tied anew, by dense matrices."""
+    """S and displacements of a floating body with new pairs agree with dense matrices."""
     random = np.random.default_rng(2)
     held, loose = (v @ v.T + np.eye(9) for v in random.normal(size=(2, 9, 9)))
     ways = np.linalg.qr(random.normal(size=(9, 3)))[0]
@@ -91,7 +91,7 @@ def test_condensed_jumps_equal_krylov_jumps(law: str, order: int) -> None:
 
 @pytest.mark.skipif(substructures.factor_class() is Mumps, reason="PETSc has no CHOLMOD")
 def test_condensed_jumps_equal_with_mumps_factors(monkeypatch: pytest.MonkeyPatch) -> None:
-    """MUMPS where there is no CHOLMOD."""
+    """MUMPS is used if there is no CHOLMOD."""
     law = f"interfaces.stem_cement={LAWS[0]}"
     expected = support.solve(support.STEM, "mesh.order=2", law, CONDENSED)
     monkeypatch.setattr(substructures, "factor_class", lambda: Mumps)
@@ -113,7 +113,7 @@ def doubled(c: Condensed) -> None:
 def test_condensed_error_in_schur_complement_fails_to_converge(
     error: Callable[[Condensed], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Newton tests the residual of the whole system, which S has no part in."""
+    """Newton tests the residual of the whole system, which does not depend on S."""
     right = Condensed.renew
 
     def wrong(self: Condensed) -> None:
@@ -129,7 +129,7 @@ def test_condensed_error_in_schur_complement_fails_to_converge(
 
 
 def test_condensed_bodies_are_factored_again_after_a_released_support() -> None:
-    """Newton in the jumps then needs no help of the whole system."""
+    """Newton in the jumps then needs no fallback to the whole system."""
     held = "supports.held={kind: roller, boundary: stem_top, axis: x, stages: [first]}"
     stages = "stages=[{name: first}, {name: second}]"
     history = "loads.hip.history=[1, 1.2]"
@@ -139,7 +139,7 @@ def test_condensed_bodies_are_factored_again_after_a_released_support() -> None:
 
 
 def test_condensed_cycles_start_from_extrapolated_cycles() -> None:
-    """The line through two of them leaves a tenth of what repeating the last one would."""
+    """A line through two cycles leaves a tenth of the error of repeating the last one."""
     walk = "stages=[{name: walk, cycles: 8, valley: 0.1}]"
     solved = support.solve(support.STEM, "mesh.order=2", walk, CONDENSED)
     first, *_, last = (step.outcome.iterations for step in solved.steps[2:])
@@ -147,7 +147,7 @@ def test_condensed_cycles_start_from_extrapolated_cycles() -> None:
 
 
 def test_condensed_singular_jacobian_names_the_floating_body() -> None:
-    """Motions of the body make the Jacobian in the jumps singular: no step leads anywhere."""
+    """Motions of the body make the Jacobian in the jumps singular, so no step helps."""
     gaps = [f"interfaces.{name}.gap=0.1 mm" for name in ("stem_cement", "cement_bone")]
     lifted = "interfaces.cement_bone.friction_coefficient=0.4", "loads.hip.force=[0 N, 0 N, 1 N]"
     with pytest.raises(support.mantle.ConvergenceError, match="nothing holds body 'stem'"):

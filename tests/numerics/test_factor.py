@@ -1,4 +1,4 @@
-"""Factors with a Schur complement: CHOLMOD's and MUMPS', by dense matrices."""
+"""Factors of CHOLMOD and MUMPS with a Schur complement, against dense matrices."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def joined(A: csr_array, m: int, density: float) -> tuple[csr_array, csr_array]:
 def test_factor_schur_complement_equals_dense(
     kind: type[Factor], n: int, m: int, density: float
 ) -> None:
-    """- E^T A^-1 E, whatever the number of last unknowns and wherever they are met."""
+    """- E^T A^-1 E is right for any number and place of last unknowns."""
     A = spring_grid(n)
     rows, E = joined(A, m, density)
     f = kind(rows)
@@ -68,7 +68,7 @@ def test_factor_refuses_indefinite_matrix(kind: type[Factor]) -> None:
 
 @pytest.mark.parametrize("kind", BOTH)
 def test_factor_memory_is_freed_with_the_factors(kind: type[Factor]) -> None:
-    """A motion makes new ones at each step."""
+    """Each step of a motion makes new factors."""
     f = kind(joined(spring_grid(3), 30, 0.1)[0])
     gone = weakref.ref(f)
     del f

@@ -1,4 +1,4 @@
-"""Integration in time: the orders of the methods and their damping, how steps are chosen."""
+"""Integration in time: orders and damping of the methods, choice of steps."""
 
 from __future__ import annotations
 
@@ -105,11 +105,12 @@ def test_integrator_failed_stage_fails_the_step(method: Method) -> None:
 
 
 def test_integrator_state_parts_are_neither_missing_nor_shared() -> None:
-    """Parts may be empty on a rank; the state handed in is not changed."""
+    """Parts may be empty on a rank. The given state is not changed."""
     y = [np.ones(2), np.zeros(0)]
     done = step(SDIRK4, y, [np.zeros(2), np.zeros(0)], 0.1, 0.0, lambda s, *_: [v / 2 for v in s])
     assert done is not None
-    assert [len(v) for v in done.state] == [len(v) for v in done.error] == [2, 0]
+    assert [len(v) for v in done.state] == [2, 0]
+    assert [len(v) for v in done.error] == [2, 0]
     assert np.array_equal(y[0], np.ones(2))
 
 
@@ -125,7 +126,7 @@ def controlled(method: Method, events: list[float], first: float) -> Controller:
 
 @BOTH
 def test_integrator_steps_follow_the_error(method: Method) -> None:
-    """An error that goes with the step's power is brought to just below the tolerance."""
+    """Steps bring an error that is a power of the step to just below the tolerance."""
     control = controlled(method, [], 1.0)
     for _ in range(30):
         dt = control.propose(0.0)
@@ -135,9 +136,9 @@ def test_integrator_steps_follow_the_error(method: Method) -> None:
 
 
 def test_integrator_steps_shrink_before_an_ignition() -> None:
-    """Errors of order four in the step over the time that is left until a blow-up.
+    """Errors are of order four in the step over the time until a blow-up.
 
-    Steps that go by the last error alone are rejected nearly every time.
+    Steps by the last error alone are rejected nearly every time.
     """
     control, seconds, accepted, rejected = controlled(SDIRK4, [], 1e-3), 0.0, 0, 0
     while 1 - seconds > 1e-6:

@@ -1,4 +1,4 @@
-"""Objects that PETSc and DOLFINx made for a run are destroyed with it, in any number of runs."""
+"""Objects of PETSc and DOLFINx are destroyed at the end of each run, for any number of runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Remedies of a nonlinear solve that does not converge."""
+"""Remedies for a nonlinear solve that does not converge."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ import mantle
 from app.case.case import load
 from app.numerics.remedies import solve
 from app.results.reading import Results
+from meshes.distribute import TaggedMesh
 from tests import support
+from tests.numerics.blocks import BLOCK
 
 
 def test_remedies_limits_of_friction_are_the_given_ones() -> None:
-    """Without pressures nothing rubs; under those of the solution the solution is the same."""
+    """Zero pressures give no friction. Pressures of the solution give the same solution."""
     problem, solver = support.assemble(support.case(support.STEM))
     contact = solver.system.contact
     problem.set_time(1.0)
@@ -45,7 +47,10 @@ def test_remedies_limits_of_friction_are_the_given_ones() -> None:
 def test_remedies_find_the_same_equilibrium_beyond_the_critical_friction(
     friction: float, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Five times the critical coefficient of 1.4: each solver finds it, by the same path."""
+    """The coefficient is five times the critical one of 1.4.
+
+    Each solver finds the solution on the same path.
+    """
     names = ("stem_cement", "cement_bone")
     changes = [f"interfaces.{name}.friction_coefficient={friction}" for name in names]
     motions = []
@@ -59,3 +64,24 @@ def test_remedies_find_the_same_equilibrium_beyond_the_critical_friction(
         motions.append(record["cement_bone slip_max [mm]"])
     assert (motions[0] > 0).all()
     np.testing.assert_allclose(motions[1], motions[0], rtol=1e-4)
+
+
+def test_remedies_return_to_sor_after_a_converged_step(tagged: TaggedMesh) -> None:
+    """Factors serve a Newton iteration that fails, not all later ones."""
+    problem, solver = support.assemble(support.case(BLOCK), tagged)
+    problem.set_time(1.0)
+    krylov = solve(solver).linear_iterations
+
+    def failing() -> bool:
+        solver.begin(1e-10)
+        solver.snes.setTolerances(max_it=0)
+        return not solve(solver).converged and solver.linear.factored
+
+    assert failing()
+    solver.snes.setTolerances(max_it=50)
+    assert solve(solver).converged and not solver.linear.factored
+    # What begins anew after a failure sweeps from the start.
+    assert failing()
+    solver.snes.setTolerances(max_it=50)
+    solver.begin(1e-10)
+    assert solve(solver).linear_iterations == krylov

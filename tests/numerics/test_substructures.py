@@ -1,4 +1,4 @@
-"""Substructures: nodes that ranks share are a smallest vertex cover; the rest is on ranks."""
+"""Substructures: the shared nodes are a smallest vertex cover; each rank has the others."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PAIRS = st.lists(st.tuples(st.integers(0, 5), st.integers(6, 11)), min_size=1, m
 @given(PAIRS)
 @settings(max_examples=200, deadline=None)
 def test_substructures_vertex_cover_is_minimal(pairs: list[tuple[int, int]]) -> None:
-    """By trying all smaller sets of nodes."""
+    """The test tries all smaller sets of nodes."""
     cover = set(vertex_cover(np.array(pairs)).tolist())
     assert all(cover & set(pair) for pair in pairs)
     nodes = {node for pair in pairs for node in pair}

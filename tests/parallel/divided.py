@@ -1,4 +1,4 @@
-"""``mantle run`` on ranks that get the cells they are given: started by `test_ranks`."""
+"""``mantle run`` on ranks with given cells, started by `test_ranks`."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def between(data: MeshData) -> Ints:
 
 
 def board(data: MeshData, ranks: int) -> Ints:
-    """Cubes in turn: all bodies and interfaces are cut again and again."""
+    """Cubes alternate between ranks, so all bodies and interfaces are cut many times."""
     x = data.points[data.cells[:, :4]].mean(axis=1)
     edge = np.ptp(x, axis=0).min() / 3.5
     owner = np.floor((x - x.min(axis=0)) / edge).astype(int).sum(axis=1) % ranks
@@ -44,7 +44,10 @@ def board(data: MeshData, ranks: int) -> Ints:
 
 
 def bodies(data: MeshData, ranks: int) -> Ints:
-    """Each region to one rank: no rank has cells on both sides of an interface, but as ghosts."""
+    """Each region is on one rank.
+
+    No rank has cells on both sides of an interface, except ghosts.
+    """
     owner = (data.cell_tags - data.cell_tags.min()) % ranks
     for tag in set(data.cell_tags):
         assert len(set(owner[data.cell_tags == tag])) == 1
@@ -52,7 +55,7 @@ def bodies(data: MeshData, ranks: int) -> Ints:
 
 
 def far(data: MeshData, ranks: int) -> Ints:
-    """The last rank has a few cells far from all interfaces, the others what `board` says."""
+    """The last rank has a few cells far from all interfaces, the others those of `board`."""
     owner = board(data, max(ranks - 1, 1))
     near = np.unique(between(data))
     nodes = np.unique(data.cells[near, :4])
@@ -69,7 +72,7 @@ WAYS: dict[str, Callable[[MeshData, int], Ints]] = {"board": board, "bodies": bo
 
 
 def destinations(data: MeshData, owner: Ints) -> AdjacencyList_int32:
-    """Where each cell goes: to its owner first, and to the owners of its neighbours."""
+    """Ranks of each cell: its owner first, then the owners of its neighbours."""
     neighbours = data.neighbours
     rows = []
     for mine, others in zip(owner, np.where(neighbours >= 0, owner[neighbours], -1), strict=True):
@@ -79,7 +82,7 @@ def destinations(data: MeshData, owner: Ints) -> AdjacencyList_int32:
 
 
 def given(way: str) -> Callable[[MeshData | None, MPI.Comm], TaggedMesh]:
-    """`distribute` with cells going where a way says."""
+    """`distribute` with the destinations of a scheme."""
 
     def divided(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
         def partitioner(*_: Any) -> AdjacencyList_int32:

@@ -1,4 +1,4 @@
-"""A stem solved cold and from a cheaper model on these ranks: started by `test_ranks`."""
+"""A stem solved from rest and from a cheaper model on these ranks, started by `test_ranks`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The same mesh and steps on 1, 2 and 3 ranks give the same results, whoever has which cells."""
+"""Equal results on 1, 2 and 3 ranks with the same mesh and steps, for any partition."""
 
 from __future__ import annotations
 
@@ -151,7 +151,10 @@ CASES: dict[str, tuple[str, tuple[str, ...], dict[int, tuple[str, ...]]]] = {
 
 
 def numbers(value: dict[str, Any], *path: str) -> Iterator[tuple[tuple[str, ...], float]]:
-    """The numbers of a nested table with their places; those of maxima, which jump, apart."""
+    """The numbers of a nested table with their places.
+
+    Numbers of maxima, which may jump, are apart.
+    """
     for key, inside in value.items():
         if isinstance(inside, dict):
             yield from numbers(inside, *path, key)
@@ -162,7 +165,7 @@ def numbers(value: dict[str, Any], *path: str) -> Iterator[tuple[tuple[str, ...]
 
 
 def _kind(path: tuple[str, ...]) -> tuple[str, str]:
-    """Section and kind of a number; components of a vector, `force.1`, are of one kind."""
+    """Section and kind of a number. Components of a vector, such as `force.1`, are of one kind."""
     return path[0], re.split(r"[_.]", path[-1])[0]
 
 
@@ -173,7 +176,7 @@ def summaries(output: Path) -> Summaries:
 
 
 def compare(one: Summaries, other: Summaries, ranks: int, states: bool = True) -> None:
-    """The same numbers as on one rank, each by the largest of its kind."""
+    """The numbers are those on one rank, relative to the largest of their kind."""
     assert one and one.keys() == other.keys()
     for folder, expected in one.items():
         actual = other[folder]
@@ -228,7 +231,10 @@ def test_ranks_numbers_are_equal(name: str, tmp_path: Path) -> None:
 
 
 def test_ranks_variations_are_equal(tmp_path: Path) -> None:
-    """Failed variations are tried again, finished ones stay; twice the load starts converged."""
+    """Failed variations are tried again, finished ones stay.
+
+    A start from half the load converges.
+    """
     case, output = tmp_path / "case.yaml", tmp_path / "2"
     case.write_text(VARIATIONS)
     command = ("-m", "mantle", "run", case, *support.sets(*QUICKLY), "-o")
@@ -251,7 +257,7 @@ def test_ranks_variations_are_equal(tmp_path: Path) -> None:
 
 
 def test_ranks_error_on_one_is_printed_once_and_ends_all(tmp_path: Path) -> None:
-    """An expression that is not finite at a few nodes, which one of the ranks has."""
+    """An expression is not finite at a few nodes, which one of the ranks has."""
     case = tmp_path / "case.yaml"
     case.write_text(STEM)
     for key, value in (
@@ -318,7 +324,7 @@ def test_ranks_share_the_pictures_of_a_page(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_ranks_multigrid_iterations_are_equal(order: int, tmp_path: Path) -> None:
-    """Each rank smooths its part; with longer steps than on one rank that would diverge."""
+    """Each rank smooths its part. Longer steps of the smoother than on one rank would diverge."""
     case, counts = tmp_path / "case.yaml", {}
     case.write_text(STEM)
     changes = (f"mesh.order={order}", f"mesh.size={2 * order} mm", "solver.linear=multigrid")
@@ -331,7 +337,7 @@ def test_ranks_multigrid_iterations_are_equal(order: int, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_ranks_nested_start(ranks: int, tmp_path: Path) -> None:
-    """The same jumps as without, from a start that is closer to equilibrium."""
+    """The jumps are the same, from a start that is closer to equilibrium."""
     output = tmp_path / "numbers.json"
     support.on_ranks(ranks, "-m", "tests.parallel.nested_case", output)
     numbers = json.loads(output.read_text())
@@ -367,7 +373,7 @@ def test_ranks_restart_on_any_number(tmp_path: Path, first: int, then: int) -> N
 
 
 def test_ranks_rotated_quarter_from_a_file(tmp_path: Path) -> None:
-    """One side by its normal, one by that of its face, in one stage more than in the other."""
+    """One side has its normal, the other that of its face. One case has one more stage."""
     text = QUARTER.replace("solver: ", "output: {fields: false}\nsolver: ")
     normals = [vector(np.pi * ROTATION[:, k]) for k in range(3)]
     straight = support.case(text)
@@ -391,7 +397,7 @@ def test_ranks_rotated_quarter_from_a_file(tmp_path: Path) -> None:
 
 
 def run_divided(case: Path, ranks: int, way: str, *overrides: str) -> Summaries:
-    """Run a case on ranks that have the cells that a way gives them; "": those of a usual run."""
+    """Run a case on ranks with the cells of a scheme; "" is the usual partition."""
     program = ["-m", "tests.parallel.divided"] if way else ["-m", "mantle"]
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder, "out")
@@ -416,12 +422,12 @@ def shipped(name: str, ranks: int, way: str = "") -> Summaries:
 
 
 def test_ranks_without_cells() -> None:
-    """Two regions, by region to three ranks: the last has neither cells nor points."""
+    """Two regions are on three ranks, so the last rank has neither cells nor points."""
     compare(shipped("intact.yaml", 1), shipped("intact.yaml", 3, "bodies"), 3)
 
 
 def test_ranks_without_temperatures(tmp_path: Path) -> None:
-    """The same with heat, cure and contact: how far they have changed is asked of each rank."""
+    """The case has heat, cure and contact. All ranks take part in the norm of changes."""
     case = tmp_path / "case.yaml"
     case.write_text(restarted.SETTING)
     one, three = (run_divided(case, n, way, EXACT) for n, way in ((1, ""), (3, "bodies")))
@@ -435,5 +441,5 @@ SHARES = [(2, ""), (3, ""), (4, ""), (2, "board"), (3, "bodies"), (3, "far")]
 @pytest.mark.parametrize(("ranks", "way"), SHARES)
 @pytest.mark.parametrize("name", COARSE)
 def test_ranks_shipped_cases(name: str, ranks: int, way: str) -> None:
-    """On 2 to 4 ranks, and on ranks that share the mesh in the worst ways."""
+    """Shipped cases run on 2 to 4 ranks, and on partitions that are as bad as possible."""
     compare(shipped(name, 1), shipped(name, ranks, way), ranks)

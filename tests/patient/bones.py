@@ -1,4 +1,4 @@
-"""Surfaces of bones as STL files: the parametric femur in triangles, and the measured one."""
+"""Surfaces of bones as STL files: the parametric femur in triangles, and a measured one."""
 
 from __future__ import annotations
 
@@ -58,13 +58,13 @@ def parametric_canal() -> BoneSurface:
 
 
 def moved(surface: BoneSurface, turn: Floats, shift: Floats) -> BoneSurface:
-    """A surface turned, or mirrored, and shifted, still outward."""
+    """A surface after rotation or reflection and shift, with outward normals."""
     triangles = surface.triangles[:, :: 1 if np.linalg.det(turn) > 0 else -1]
     return replace(surface, points=surface.points @ turn.T + shift, triangles=triangles)
 
 
 def opened(surface: BoneSurface, low: float) -> BoneSurface:
-    """The part above a level, open there."""
+    """The part above a level, open at the level."""
     above = (surface.points[surface.triangles, 2] > low).all(axis=1)
     used, triangles = np.unique(surface.triangles[above], return_inverse=True)
     return BoneSurface(surface.points[used], triangles.reshape(-1, 3))
@@ -82,7 +82,7 @@ def write(path: Path, surface: BoneSurface, scale: float = 1.0) -> Path:
 def slices(folder: Path, values: Any, affine: Floats, series: str = "1.2") -> Path:
     """Write numbers (i, j, k), multiples of 1/2, as DICOM slices of (i, j), out of order by names.
 
-    By the standard's C.7.6.2. The affine to mm is as in NIfTI: right, anterior, superior positive.
+    The standard is C.7.6.2. The affine to mm is that of NIfTI: right, anterior, superior positive.
     """
     folder.mkdir(exist_ok=True, parents=True)
     s = pydicom.dcmread(pydicom.data.get_testdata_file("CT_small.dcm"))
@@ -102,8 +102,8 @@ def slices(folder: Path, values: Any, affine: Floats, series: str = "1.2") -> Pa
 def enhanced(path: Path, values: Any, affine: Floats) -> Path:
     """Write numbers as one DICOM file of many frames, an enhanced CT, its frames out of order.
 
-    By the standard's C.7.6.16: what frames share is in one group, their places in others. Each
-    has an intercept.
+    The standard is C.7.6.16: one group has the shared attributes of frames, others their places.
+    Each frame has an intercept.
     """
     one = slices(path.parent / "slices", values, affine)
     files = [pydicom.dcmread(file) for file in sorted(one.iterdir())]
@@ -140,7 +140,7 @@ def part(data: Any, *tags: str) -> Any:
 
 
 def inside(surface: BoneSurface, x: Floats, y: Floats, z: Floats) -> Bools:
-    """True at places of a lattice inside of a surface (x, y, z): along rows of x, by parity."""
+    """True at lattice points inside of a surface (x, y, z), by parity along rows of x."""
     times = np.zeros((len(x) + 1, len(y), len(z)), dtype=np.int8)
     for a, b, c in surface.corners:
         low, high = np.minimum(a, np.minimum(b, c)), np.maximum(a, np.maximum(b, c))

@@ -15,7 +15,7 @@ ORIGIN = "(10,20,30)"
 
 
 def header(shape: Sequence[int], type: str = "unsigned char", **changes: str | None) -> list[str]:
-    """Lines of a header; `changes` replace fields, whose blanks are underlines, or drop them."""
+    """Lines of a header. `changes` replace fields, with underlines for blanks, or drop them."""
     fields: dict[str, str | None] = {
         "type": type,
         "dimension": str(len(shape)),
@@ -33,7 +33,7 @@ def header(shape: Sequence[int], type: str = "unsigned char", **changes: str | N
 
 
 def save(path: Path, lines: Sequence[str], content: bytes = b"", newline: str = "\n") -> Path:
-    """Write a header and what follows it."""
+    """Write a header and data after it."""
     path.write_bytes(newline.join([*lines, "", ""]).encode() + content)
     return path
 
@@ -44,7 +44,10 @@ def segmentation(
     segments: Sequence[tuple[str, int | None, int | None]],
     list_first: bool = True,
 ) -> Path:
-    """Write layers of labels, and segments by name, layer and label; those may be unknown."""
+    """Write layers of labels, and segments by name, layer and label.
+
+    Layer and label may be unknown.
+    """
     values = np.stack(layers, axis=0 if list_first else -1).astype(np.uint8)
     ways = f"none {WAYS}" if list_first else f"{WAYS} none"
     lines = header(values.shape, space_directions=ways, kinds=None)

@@ -38,7 +38,7 @@ def made(geometry: Any) -> MeshData:
 
 
 def as_own(folder: Path, **changes: Any) -> Patient:
-    """The operation of the parametric femur on its triangles, landmarks given exactly."""
+    """The operation of the parametric femur on its triangles, with exact landmarks."""
     normal, level = cut(TURNED)
     # Depth of the shoulder's edge, at z = 29 mm, below the cut.
     depth = (level + normal[0] * 9.0789) / normal[2] - 29.0

@@ -1,4 +1,4 @@
-"""CT and labels of the parametric femur, as a hospital and TotalSegmentator write them."""
+"""CT and labels of the parametric femur, in the form of a hospital and of TotalSegmentator."""
 
 from __future__ import annotations
 

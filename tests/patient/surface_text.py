@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import random
 import struct
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from app.patient import bone_surface, landmarks
 from app.patient.bone_surface import BoneSurface
+from tests.patient.bones import write
 
 Faces = Sequence[Sequence[int]]
 
@@ -25,7 +29,7 @@ def stl_text(corners: Any, name: str = "femur") -> str:
 
 
 def obj_vertices(points: Any, more: Callable[[int], str] = lambda k: "") -> str:
-    """Vertices of an OBJ file, each with more behind it."""
+    """Vertices of an OBJ file, each followed by more values."""
     lines = ("v {:.9g} {:.9g} {:.9g}".format(*x) + more(k) for k, x in enumerate(points))
     return "".join(f"{line}\n" for line in lines)
 
@@ -54,7 +58,7 @@ def ply_text(
     before: str = "",
     after: str = "",
 ) -> str:
-    """A text PLY file; other properties stand before and after the corners of each face."""
+    """A text PLY file. Other properties are before and after the corners of each face."""
     faces = surface.triangles.tolist() if faces is None else faces
     rows = [("vertex", len(surface.points), PLACE), ("face", len(faces), properties)]
     points = "".join("{:.9g} {:.9g} {:.9g}\n".format(*x) for x in surface.points)
@@ -70,7 +74,7 @@ def ply_binary(
     after: bytes = b"",
     order: str = "<",
 ) -> bytes:
-    """The same as a binary file."""
+    """The same file in binary."""
     faces = surface.triangles.tolist() if faces is None else faces
     kind = {"<": "binary_little_endian", ">": "binary_big_endian"}[order]
     rows = [("vertex", len(surface.points), PLACE), ("face", len(faces), properties)]
@@ -80,7 +84,7 @@ def ply_binary(
 
 
 def quads(surface: BoneSurface, above: float) -> tuple[Any, list[list[int]]]:
-    """Points and faces with triangles above a level as three quads each, about their middles.
+    """Points and faces. Triangles above a level are three quads each, about their middles.
 
     The edges at the level are divided on their upper side alone.
     """
@@ -103,3 +107,46 @@ def quads(surface: BoneSurface, above: float) -> tuple[Any, list[list[int]]]:
         ab, bc, ca = middle(a, b), middle(b, c), middle(c, a)
         faces += [[a, ab, centre, ca], [b, bc, centre, ab], [c, ca, centre, bc]]
     return np.array(points), faces
+
+
+def put(folder: Path, name: str, content: str | bytes) -> Path:
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def volume(corners: Any) -> float:
+    a, b, c = np.moveaxis(corners, 1, 0)
+    return float((np.cross(a, b) * c).sum() / 6)
+
+
+def damaged(rng: random.Random, content: bytes) -> bytes:
+    """A file that is cut, or has other bytes in it."""
+    for _ in range(rng.choice((1, 1, 2, 6))):
+        at = rng.randrange(len(content) + 1)
+        start = rng.randrange(min(400, len(content)) + 1)
+        match rng.randrange(6):
+            case 0:
+                content = content[:at]
+            case 1:
+                content = content[:at] + rng.randbytes(rng.randint(1, 20)) + content[at:]
+            case 2:
+                content = content[:at] + rng.randbytes(4) + content[at + 4 :]
+            case 3:
+                content = content[:start] + rng.randbytes(1) + content[start + 1 :]
+            case 4:
+                content = content[:start] + content[start + rng.randint(1, 30) :]
+            case 5:
+                word = rng.choice((b"-1 ", b"nan ", b"1e308 ", b"99999999999 ", b"\0\0\xff\x7f"))
+                content = content[:at] + word + content[at + len(word) :]
+    return content
+
+
+def judged(path: Path) -> tuple[BoneSurface, landmarks.Frame]:
+    surface = bone_surface.read(path)
+    return surface, landmarks.find(surface)
+
+
+def stl(folder: Path, corners: Any) -> Path:
+    points = corners.reshape(-1, 3)
+    return write(folder / "bone.stl", BoneSurface(points, np.arange(len(points)).reshape(-1, 3)))

@@ -1,4 +1,4 @@
-"""The canal by CT numbers: the threshold, and images that are not the CT of the labels."""
+"""The canal by CT numbers: its threshold, and images that are not the CT of the labels."""
 
 from __future__ import annotations
 
@@ -52,10 +52,10 @@ def test_ct_canal_of_a_usual_threshold_has_no_doubts(
 
 
 def test_ct_canal_too_thick_a_cortex_names_the_threshold(folder: Path, read: Reader) -> None:
-    """A canal that is measured in a part of the shaft only; there are no messages of numpy."""
+    """The canal is measured in a part of the shaft only. Numpy prints no warnings."""
 
     def without_canal(numbers: Floats) -> Floats:
-        """Numbers with cancellous bone in the upper part of the canal."""
+        """CT numbers with cancellous bone in the upper part of the canal."""
         numbers = numbers.copy()
         upper = numbers[:, :, 30:]
         upper[upper < 350.0] = 350.0
@@ -72,7 +72,7 @@ def test_ct_canal_too_thick_a_cortex_names_the_threshold(folder: Path, read: Rea
 
 
 def test_ct_canal_too_high_a_threshold_is_named(folder: Path, read: Reader) -> None:
-    """The CT is not blamed if its cortex is above the usual threshold."""
+    """The message does not blame the CT if its cortex is above the usual threshold."""
     ct = folder / "ct.nii.gz"
     (doubt, *_) = read(ct, CORTEX).doubts
     assert "Is geometry.canal.threshold too high?" in doubt and "mirrored" not in doubt
@@ -81,7 +81,7 @@ def test_ct_canal_too_high_a_threshold_is_named(folder: Path, read: Reader) -> N
 
 
 def test_ct_canal_too_low_a_threshold_is_quoted_as_given(folder: Path, read: Reader) -> None:
-    """The CT is not blamed; the canal with a threshold that is lower by 100 is tried, too."""
+    """The message does not blame the CT. The canal at a threshold lower by 100 is tried, too."""
     ct = folder / "ct.nii.gz"
     words = r"no CT number inside the bone is below -500; they are .* threshold is too low; use"
     with pytest.raises(MantleError, match=words) as caught:
@@ -92,7 +92,7 @@ def test_ct_canal_too_low_a_threshold_is_quoted_as_given(folder: Path, read: Rea
 
 
 def test_ct_canal_share_of_the_cortex_is_rounded_down(tmp_path: Path) -> None:
-    """748 of 1000 numbers are too few: expected are 75 %."""
+    """Of 1000 numbers, 748 are too few, because 75 % are expected."""
     numbers = np.repeat([700.0, 100.0], [748, 252])
     (doubt,) = ct_canal._cortex_doubts(tmp_path / "ct.nii.gz", numbers, 600.0)
     assert "only 74 % of the shaft" in doubt and "expected at least 75 %" in doubt
@@ -114,7 +114,7 @@ def test_ct_canal_of_bone_alone_is_no_ct(folder: Path, read: Reader) -> None:
 
 
 def test_ct_canal_of_a_file_that_is_no_image_has_its_own_reason(folder: Path, read: Reader) -> None:
-    """The path is printed once, without a word on the femur."""
+    """The message has the path once, and does not mention the femur."""
     with pytest.raises(InputError, match="has no slices") as caught:
         read(folder, 600.0)
     assert str(caught.value).count(str(folder)) == 1

@@ -1,4 +1,4 @@
-"""Segmentations as DICOM objects: segments by number and name, and planes that are left out."""
+"""Segmentations as DICOM objects: segments by number and name, and omitted planes."""
 
 from __future__ import annotations
 

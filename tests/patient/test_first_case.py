@@ -1,4 +1,4 @@
-"""A first case by labels and CT: what it has, and that it is accepted as it is."""
+"""A first case by labels and CT: its content, and that it is valid."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_first_case_without_cement_has_the_widest_stem_with_room(tmp_path: Path)
 
 
 def test_first_case_refuses_a_ct_of_another_place(tmp_path: Path) -> None:
-    """It is read on its grid; it must contain the femur."""
+    """The CT has a grid that differs from that of the labels. The CT must contain the femur."""
     folder = scan(tmp_path, 120.0, edges=(1.5, 1.5, 1.5))
     image = nibabel.load(folder / "ct.nii.gz")
     affine = image.affine.copy()
@@ -114,7 +114,7 @@ def test_first_case_refuses_a_ct_of_another_place(tmp_path: Path) -> None:
 
 
 def test_first_case_refuses_a_ct_that_is_mirrored(tmp_path: Path) -> None:
-    """Its grid contains the femur, but its cortex is beside that of the labels."""
+    """The grid contains the femur, but the cortex is not at that of the labels."""
     folder = scan(tmp_path, 120.0, edges=(1.5, 1.5, 1.5))
     image = nibabel.load(folder / "ct.nii.gz")
     mirrored = np.asarray(image.dataobj)[::-1]
@@ -140,7 +140,7 @@ def test_first_case_notes_a_ct_that_is_moved(tmp_path: Path) -> None:
 
 
 def test_first_case_refuses_a_side_that_the_bone_has_not(tmp_path: Path) -> None:
-    """The label has no name, so that the lesser trochanter decides."""
+    """The label has no name, so the lesser trochanter decides."""
     folder = scan(tmp_path, 150.0, edges=(1.5, 1.5, 1.5))
     image = nibabel.load(folder / "labels.nii.gz")
     one = (np.asarray(image.dataobj) == NUMBERS["left"]).astype(np.uint8)
@@ -151,7 +151,7 @@ def test_first_case_refuses_a_side_that_the_bone_has_not(tmp_path: Path) -> None
 
 
 def test_first_case_refuses_a_label_of_two_femora(tmp_path: Path) -> None:
-    """One bone is never chosen in silence; small pieces are left out with a note."""
+    """The program does not choose one bone silently. Small pieces are left out with a note."""
     folder = scan(tmp_path, 120.0, edges=(1.5, 1.5, 1.5))
     image = nibabel.load(folder / "labels.nii.gz")
     one = np.asarray(image.dataobj) == NUMBERS["left"]
@@ -174,7 +174,7 @@ def test_first_case_refuses_a_label_of_two_femora(tmp_path: Path) -> None:
 
 
 def test_first_case_names_the_label_that_it_refuses(tmp_path: Path) -> None:
-    """A scan that ends too high, and a label of another structure."""
+    """A scan ends too high, or the label is another structure."""
     folder = scan(tmp_path, 40.0, edges=(1.5, 1.5, 1.5))
     labels = folder / "labels.nii.gz"
     left = NUMBERS["left"]

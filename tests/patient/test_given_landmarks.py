@@ -1,4 +1,4 @@
-"""Landmarks that a case gives: refused where they cannot be, with the likely reason."""
+"""Landmarks that a case gives: wrong ones are refused with the likely reason."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ HINT = "would be right: image software .* to left and posterior"
 
 
 def others(*point: float) -> tuple[float, ...]:
-    """The point as written in axes to left and posterior."""
+    """The point in axes to left and posterior."""
     return (-point[0], -point[1], *point[2:])
 
 
@@ -36,7 +36,7 @@ def others(*point: float) -> tuple[float, ...]:
 def test_given_landmarks_in_other_axes_are_refused_with_hint(
     name: str, point: tuple[float, float, float], shift: float
 ) -> None:
-    """Near the origin the apex with other signs is near the surface, on the lateral side."""
+    """The origin is near, so an apex with other signs is near the surface on the lateral side."""
     bone = moved(parametric_femur(), np.eye(3), np.full(3, shift))
     x = tuple(np.add(point, shift))
     assert landmarks.find(bone, {name: x}).side == "left"
@@ -72,21 +72,21 @@ def test_given_landmarks_shaft_in_other_axes_is_refused_with_hint() -> None:
     ids=str,
 )
 def test_given_landmarks_beside_the_bone_are_refused(given: dict[str, Any], words: str) -> None:
-    """Without the hint: other signs of x and y do not put them on the bone."""
+    """There is no hint, because other signs of x and y do not move them onto the bone."""
     with pytest.raises(GeometryError, match=rf"^geometry\.landmarks\.{words}") as caught:
         landmarks.find(parametric_femur(), given)
     assert "posterior" not in str(caught.value)
 
 
 def test_given_landmarks_below_the_scan_are_accepted() -> None:
-    """Condyles of another part of the scan."""
+    """Condyles are in another part of the scan."""
     below = parametric_femur().points[:, 2].min() - 100.0
     frame = landmarks.find(parametric_femur(), {"condyles": ((25, 0, below), (-25, 0, below))})
     assert frame.given == ("condyles",)
 
 
 def test_given_landmarks_that_are_unusual_have_notes() -> None:
-    """A head's centre beside the sphere, and an apex beside the neck; both are named as given."""
+    """The centre of the head is off the sphere, or the apex is off the neck. Notes name both."""
     bone = parametric_femur()
     frame = landmarks.find(bone, {"head_centre": (34.0, 9.0, 52.0)})
     (doubt,) = frame.given_doubts
@@ -114,7 +114,7 @@ def test_given_landmarks_are_named_where_the_stem_has_no_room(tmp_path: Path) ->
 
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_given_landmarks_side_against_the_image_is_noted(tmp_path: Path, mirrored: bool) -> None:
-    """Front and back exchanged: `mantle check` and `run` give the note, not only `init`."""
+    """Front and back are exchanged. `mantle check` and `run` give the note, not only `init`."""
     folder = scan(tmp_path, 120.0, edges=(1.5, 1.5, 1.5))
     image = nibabel.load(folder / "labels.nii.gz")
     values = np.asarray(image.dataobj)

@@ -1,4 +1,4 @@
-"""Moduli from the density in an image: published laws, closed forms, equal values, bad input."""
+"""Moduli by the density in an image: published laws, closed forms, equal values, bad input."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PHANTOM = {"slope": "0.0008 g/cm^3", "offset": "0.004 g/cm^3"}
 
 
 def write(path: Path, values: Any, start: float = -20.0) -> Path:
-    """An image of voxels of 1 mm whose first one is in the middle of a place."""
+    """An image of voxels of 1 mm. The centre of the first one is at a place."""
     affine = np.eye(4)
     affine[:3, 3] = start
     np.savez(path, values=values, affine=affine)
@@ -37,13 +37,13 @@ def modulus(path: Path, law: Any, **more: Any) -> dict[str, Any]:
 
 
 def line(a: float) -> dict[str, Any]:
-    """A law of the user, a + rho in GPa."""
+    """A law of the user: a + rho in GPa."""
     return {"density": "qct", "ranges": [["0 g/cm^3", f"{a} GPa", "1 GPa", 1]]}
 
 
 @pytest.fixture
 def even(tmp_path: Path) -> Path:
-    """An image of cortical bone."""
+    """An image of uniform cortical bone."""
     return write(tmp_path / "even.npz", np.full((60, 60, 60), 1400, dtype=np.int16))
 
 
@@ -56,7 +56,7 @@ def even(tmp_path: Path) -> Path:
     ],
 )
 def test_image_modulus_published_laws(even: Path, law: str, expected: list[float]) -> None:
-    """Moduli in MPa at 0.3, 0.6 and 1 g/cm3 of the density of the law; pieces that meet.
+    """Moduli in MPa are for densities of 0.3, 0.6 and 1 g/cm3; pieces of laws meet.
 
     A CT number of 1400 is 1.124 g/cm3 by the phantom.
     """
@@ -73,7 +73,7 @@ def test_image_modulus_published_laws(even: Path, law: str, expected: list[float
 
 
 def test_image_modulus_are_linear_between_voxels() -> None:
-    """A linear field in an oblique image, to rounding."""
+    """A linear field in an oblique image is exact to rounding."""
     rng = np.random.default_rng(0)
     affine = np.eye(4)
     affine[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0] * [0.5, 0.7, 2.0]
@@ -88,7 +88,7 @@ def test_image_modulus_are_linear_between_voxels() -> None:
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_image_modulus_bar_of_an_image_equals_that_of_a_table(tmp_path: Path, order: int) -> None:
-    """E is 100 MPa up to 2 mm and 1 GPa from 8 mm; all of it linear between voxels."""
+    """E is 100 MPa up to 2 mm, 1 GPa from 8 mm, and linear between voxels."""
     density = np.interp(np.arange(40) - 20.0, [2, 8], [0.1, 1.0])
     numbers = np.broadcast_to((density - 0.004) / 0.0008, (40, 40, 40))
     E = modulus(write(tmp_path / "bar.npz", numbers), line(0.0))
@@ -103,7 +103,7 @@ def test_image_modulus_bar_of_an_image_equals_that_of_a_table(tmp_path: Path, or
 
 
 def test_image_modulus_cells_are_stable_at_large_contrast(tmp_path: Path) -> None:
-    """One voxel of ten is stiff, at the second order: weights of the quadrature are positive."""
+    """One voxel of ten is stiff. Weights of the quadrature are positive at second order."""
     numbers = np.where(np.random.default_rng(0).uniform(size=(40, 40, 40)) < 0.1, 1400, -90)
     E = modulus(write(tmp_path / "rugged.npz", numbers), "carter_hayes")
     text = PULLED.replace("[[2 mm, 100 MPa], [8 mm, 1 GPa]]", json.dumps(E))
@@ -113,7 +113,10 @@ def test_image_modulus_cells_are_stable_at_large_contrast(tmp_path: Path) -> Non
 
 
 def test_image_modulus_constant_image_is_a_constant(even: Path) -> None:
-    """In contact, at the second order: the stiffness to rounding, and what that leaves of u."""
+    """The case has contact at second order.
+
+    Stiffnesses agree to rounding, and so displacements nearly.
+    """
     given = modulus(even, "keyak")
     E = ImageModulus.model_validate(given).largest
     options = ("mesh.order=2", "mesh.curved=false", "solver.tolerance=1e-13")
@@ -172,7 +175,7 @@ def test_image_modulus_refuse_other_files(tmp_path: Path) -> None:
 
 
 def test_image_modulus_refuse_an_image_in_other_axes(even: Path) -> None:
-    """The stem's bone is around the axis, where the image begins."""
+    """The bone of the stem is around the axis, where the image begins."""
     write(even, np.full((60, 60, 60), 1400), start=0.0)
     text = f"regions.bone.youngs_modulus={json.dumps(modulus(even, 'morgan_neck'))}"
     with pytest.raises(InputError, match=r"points are outside the image, such as \(-?\d+"):
@@ -206,7 +209,7 @@ def test_image_modulus_note_doubtful_ct_numbers(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Of a cortex whose modulus by the law is 23.5 GPa at 1840, and 26.9 at 2024."""
+    """The modulus of the cortex by the law is 23.5 GPa at 1840, and 26.9 GPa at 2024."""
     values = np.full((60, 60, 60), float(cortex))
     values[:5] = least
     values[0, 0, :lost] = np.nan
@@ -224,7 +227,7 @@ def test_image_modulus_note_doubtful_ct_numbers(
 def test_image_modulus_notes_a_ct_turned_against_the_labels(
     turned: float, notes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Axes that are only in another order are the same."""
+    """A different order of axes alone has no note."""
     c, s = math.cos(math.radians(turned)), math.sin(math.radians(turned))
     affine = np.eye(4)
     affine[:2, :2] = [[c, -s], [s, c]]

@@ -1,7 +1,8 @@
-"""Labels of segmentations: layers of segments that overlap, and labels that are none."""
+"""Labels of segmentations: layers of overlapping segments, and images without labels."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,55 +27,60 @@ def labelled(folder: Path, values: Any) -> Path:
     return path
 
 
-LAYERS: dict[str, tuple[list[Any], list[tuple[str, int | None, int | None]], bool, int, int]] = {
-    "equal labels": ([BONE, CANAL], [("Femur L", 0, 1), ("canal", 1, 1)], True, 1, 2),
-    "list last": ([BONE, CANAL], [("Femur L", 0, 1), ("canal", 1, 1)], False, 1, 2),
-    "other order": ([CANAL, BONE], [("canal", 0, 1), ("Femur L", 1, 1)], True, 2, 1),
-    "other labels": ([BONE * 4, CANAL * 7], [("Femur L", 0, 4), ("canal", 1, 7)], True, 4, 7),
-    "labels in one layer": (
+@dataclass(frozen=True)
+class Layers:
+    """A file of 3D Slicer, and its labels as they are read.
+
+    Attributes:
+        values: Labels of each layer.
+        segments: Name, layer and label of each segment; None in old files.
+        femur: Label of the femur.
+        canal: Label of the canal.
+        list_first: The axis of the layers is the first one.
+    """
+
+    values: list[Any]
+    segments: list[tuple[str, int | None, int | None]]
+    femur: int
+    canal: int
+    list_first: bool = True
+
+
+LAYERS = {
+    "equal labels": Layers([BONE, CANAL], [("Femur L", 0, 1), ("canal", 1, 1)], 1, 2),
+    "list last": Layers([BONE, CANAL], [("Femur L", 0, 1), ("canal", 1, 1)], 1, 2, False),
+    "other order": Layers([CANAL, BONE], [("canal", 0, 1), ("Femur L", 1, 1)], 2, 1),
+    "other labels": Layers([BONE * 4, CANAL * 7], [("Femur L", 0, 4), ("canal", 1, 7)], 4, 7),
+    "labels in one layer": Layers(
         [BONE * 1 + BALL * ~BONE * 2, CANAL],
         [("Femur L", 0, 1), ("pelvis", 0, 2), ("canal", 1, 1)],
-        True,
         1,
         3,
     ),
-    "old files": (
+    "old files": Layers(
         [BONE, CANAL, BALL],
         [("Femur L", None, None), ("canal", None, None), ("pelvis", None, None)],
-        True,
         1,
         2,
     ),
 }
 
 
-@pytest.mark.parametrize(
-    ("name", "side"),
-    [
-        ("LeftFemur", "left"),
-        ("Femur R", "right"),
-        ("femur_left", "left"),
-        ("FEMUR-RIGHT", "right"),
-        ("FemurL", "left"),
-        ("femur", None),
-        ("RightAndLeft", None),
-        ("Larger femur", None),
-    ],
-)
-def test_label_image_side_follows_from_the_name(name: str, side: str | None) -> None:
-    assert segmentation.Structure(Path("image.nii"), 1, name, "test").side == side
-
-
 @pytest.mark.parametrize("name", LAYERS)
 def test_label_image_segments_that_overlap_are_whole(name: str, tmp_path: Path) -> None:
-    """As 3D Slicer writes them: in layers, with labels that repeat, or a layer each."""
-    layers, segments, list_first, number, canal_number = LAYERS[name]
-    path = nrrd_files.segmentation(tmp_path / "s.seg.nrrd", layers, segments, list_first)
+    """3D Slicer writes overlapping segments in layers.
+
+    Labels repeat, or each segment has a layer.
+    """
+    file = LAYERS[name]
+    path = nrrd_files.segmentation(
+        tmp_path / "s.seg.nrrd", file.values, file.segments, file.list_first
+    )
     femur = segmentation.femur(path, None, None)
     canal = segmentation.canal(path, femur)
-    assert (femur.number, femur.side) == (number, "left")
+    assert (femur.number, femur.side) == (file.femur, "left")
     assert canal is not None
-    assert canal.number == canal_number
+    assert canal.number == file.canal
     labels = label_image.read(path)
     assert (labels.inside(femur.number) == BONE).all()
     assert (labels.inside(canal.number) == CANAL).all()
@@ -82,14 +88,6 @@ def test_label_image_segments_that_overlap_are_whole(name: str, tmp_path: Path) 
     assert repeat == (name != "other labels")
     with pytest.raises(InputError, match="has no label 9; it has "):
         labels.inside(9)
-
-
-def test_label_image_two_segments_of_one_name_are_both_there(tmp_path: Path) -> None:
-    path = nrrd_files.segmentation(
-        tmp_path / "s.seg.nrrd", [BONE, BALL], [("femur", 0, 1), ("femur", 1, 1)]
-    )
-    with pytest.raises(InputError, match=r"femora: femur \(label 1\), femur \(1\) \(label 2\)"):
-        segmentation.femur(path, None, None)
 
 
 def test_label_image_background_may_be_negative(tmp_path: Path) -> None:
@@ -114,14 +112,14 @@ def test_label_image_numbers_of_interpolation_are_no_label(
 
 
 def test_label_image_smaller_labels_around_a_label_are_accepted(tmp_path: Path) -> None:
-    """Eight muscles around a bone, as sectors."""
+    """Eight muscles surround a bone, like sectors."""
     sector = 1 + (4.0 + 4.0 * np.arctan2(GRID[1], GRID[0]) / np.pi).astype(int) % 8
     labels = label_image.read(labelled(tmp_path, np.where(BONE, 20, sector)))
     assert (labels.inside(20) == BONE).all()
 
 
 def test_label_image_refuses_a_ct(tmp_path: Path) -> None:
-    """It has the label 1 by chance, in a few voxels."""
+    """A few voxels of the CT have the number 1."""
     numbers = np.random.default_rng(0).integers(-1000, 1500, BONE.shape, dtype=np.int16)
     path = labelled(tmp_path, numbers)
     for read in (label_image.read, segmentation.segments):

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import meshio
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -14,8 +14,9 @@ from scipy.spatial.transform import Rotation
 from app.foundation.errors import GeometryError
 from app.patient import bone_surface, landmarks
 from app.patient.bone_surface import BoneSurface
-from tests.patient.bones import MEASURED, moved, opened, parametric_femur, write
+from tests.patient.bones import MEASURED, moved, opened, parametric_canal, parametric_femur
 from tests.patient.patients import measured
+from tests.patient.surface_text import judged, stl
 
 
 def angle(a: np.ndarray, b: np.ndarray) -> float:
@@ -23,7 +24,10 @@ def angle(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def test_landmarks_of_the_parametric_femur() -> None:
-    """Head and neck are those of its keys; a bump on a flare peaks above its middle, at 0."""
+    """Head and neck are those of the keys.
+
+    A bump on a flare has its peak above its middle, at 0.
+    """
     marks = landmarks.find(parametric_femur())
     turn = np.radians(15.0)
     assert marks.head == pytest.approx([43 * np.cos(turn), 43 * np.sin(turn), 54.0], abs=0.3)
@@ -52,7 +56,7 @@ def test_landmarks_uses_given_landmarks() -> None:
 
 
 def copies(surface: BoneSurface, seed: int, number: int) -> list[tuple[Any, ...]]:
-    """Turned, mirrored and shifted, every other one open; how they were moved, and their side."""
+    """Copies, rotated, mirrored, shifted, every other one open, with their motions and sides."""
     rng, top = np.random.default_rng(seed), surface.points[:, 2].max()
     sides = ("left", "right") if surface is parametric_femur() else ("right", "left")
     made = []
@@ -65,7 +69,7 @@ def copies(surface: BoneSurface, seed: int, number: int) -> list[tuple[Any, ...]
 
 
 def check_copies(surface: BoneSurface, number: int) -> None:
-    """Repeatability: 0.1 mm, 0.5 and 0.1 deg, 1 mm, and the side always."""
+    """Repeatability is 0.1 mm, 0.5 and 0.1 deg, 1 mm; the side is always right."""
     first = landmarks.find(surface)
     for copy, turn, shift, side in copies(surface, 1, number):
         marks = landmarks.find(copy)
@@ -86,7 +90,7 @@ def test_landmarks_moves_with_the_bone() -> None:
 
 @measured
 def test_landmarks_of_a_measured_femur() -> None:
-    """Against those of its description (`data/README.md`), and of copies."""
+    """Landmarks agree with the description (`data/README.md`), and with those of copies."""
     surface = bone_surface.read(MEASURED)
     marks = landmarks.find(surface)
     assert np.linalg.norm(marks.head) < 0.6
@@ -104,7 +108,7 @@ def test_landmarks_of_twenty_copies_of_a_measured_femur() -> None:
 
 
 def bumps(surface: BoneSurface, rms: float, seed: int) -> BoneSurface:
-    """The surface moved along its normals by waves of about 9 mm."""
+    """The surface displaced along its normals by waves of about 9 mm."""
     rng = np.random.default_rng(seed)
     k = rng.normal(size=(200, 3))
     k *= 2 * np.pi / 9.0 * rng.uniform(0.7, 1.3, (200, 1)) / np.linalg.norm(k, axis=1)[:, None]
@@ -124,7 +128,7 @@ def bumps(surface: BoneSurface, rms: float, seed: int) -> BoneSurface:
 def test_landmarks_with_bumps_is_within_its_interval(
     rms: float, head: float, neck: float, version: float
 ) -> None:
-    """The deviations asked for, and a spread that covers 90 % of them."""
+    """Deviations are those of the waves, and the interval covers 90 % of them."""
     surface = bone_surface.read(MEASURED)
     first, covered = landmarks.find(surface), []
     for seed in range(20):
@@ -143,64 +147,63 @@ def test_landmarks_with_bumps_is_within_its_interval(
     assert np.mean(covered) >= 0.9
 
 
-def bytes_of(
-    tmp_path: Path, change: Callable[[BoneSurface], BoneSurface], scale: float = 1.0
-) -> Path:
-    return write(tmp_path / "bone.stl", change(parametric_femur()), scale)
-
-
-def test_bone_surface_unit_is_found_and_reported(tmp_path: Path) -> None:
-    path = bytes_of(tmp_path, lambda s: s, 1e-3)
-    surface = bone_surface.read(path)
-    assert np.ptp(surface.points[:, 2]) == pytest.approx(
-        np.ptp(parametric_femur().points[:, 2]), rel=1e-5
-    )
-    read, unit = surface.notes
-    assert read == "5,056 triangles of a binary STL file"
-    assert unit == "unit: m, as the surface is 0.337 long"
-    with pytest.raises(
-        GeometryError, match=r"0\.337 mm long, but a proximal femur is 65 to 600 mm"
-    ):
-        bone_surface.read(path, "mm")
-
-
-def test_bone_surface_flipped_triangles_are_reversed_with_note(tmp_path: Path) -> None:
-    def flip(s: BoneSurface) -> BoneSurface:
-        triangles = s.triangles.copy()
-        triangles[100:130] = triangles[100:130, ::-1]
-        return BoneSurface(s.points, triangles)
-
-    surface = bone_surface.read(bytes_of(tmp_path, flip))
-    assert "30 triangles with the wrong orientation turned over" in surface.notes
-    a, b, c = surface.corners.transpose(1, 0, 2)
-    x, y, z = parametric_femur().corners.transpose(1, 0, 2)
-    assert (np.cross(a, b) * c).sum() == pytest.approx((np.cross(x, y) * z).sum(), rel=1e-5)
+def test_landmarks_refuse_the_wall_of_the_canal(tmp_path: Path) -> None:
+    """Bone and canal are one body, joined by a narrow passage at the end of the shaft."""
+    bone, canal = parametric_femur().corners, parametric_canal().corners[:, ::-1]
+    lowest = [int(c.mean(axis=1)[:, 2].argmin()) for c in (bone, canal)]
+    (a, b, c), (p, r, q) = bone[lowest[0]], canal[lowest[1]]
+    sides = [(a, b, q, p), (b, c, r, q), (c, a, p, r)]
+    passage = [t for i, j, k, m in sides for t in ((i, j, k), (i, k, m))]
+    parts = [np.delete(bone, lowest[0], 0), np.delete(canal, lowest[1], 0), np.array(passage)]
+    surface = bone_surface.read(stl(tmp_path, np.concatenate(parts)))
+    with pytest.raises(GeometryError, match="its shaft is hollow: the surface includes"):
+        landmarks.find(surface)
 
 
 @pytest.mark.parametrize(
-    ("suffix", "message"),
-    [("ply", "is cut short or damaged"), ("obj", r"line \d+: .* a vertex has three numbers")],
+    ("scale", "note"),
+    [
+        ([1.6, 1.6, 1.6], r"the head's radius is 36\.3 mm; expected 18 to 30"),
+        ([0.7, 0.7, 0.7], r"the head's radius is 15\.9 mm; expected 18 to 30"),
+        ([1, 1, 1.25], r"neck-shaft angle is 14\d\.\d deg; expected 110 to 140 deg. Is the bone"),
+        ([1, 1, 1], ""),
+    ],
 )
-def test_bone_surface_of_other_formats_is_equal(suffix: str, message: str, tmp_path: Path) -> None:
-    path, stl = tmp_path / f"bone.{suffix}", bone_surface.read(bytes_of(tmp_path, lambda s: s))
-    meshio.Mesh(parametric_femur().points, [("triangle", parametric_femur().triangles)]).write(path)
-    assert bone_surface.read(path).corners == pytest.approx(stl.corners, abs=1e-4)
-    whole = path.read_bytes()  # cut in a line on a vertex
-    path.write_bytes(whole[: whole.index(b"\n", 20_000) + 5])
-    with pytest.raises(GeometryError, match=message):
-        bone_surface.read(path)
-
-
-def test_bone_surface_open_distal_end_is_reported(tmp_path: Path) -> None:
-    surface = bone_surface.read(bytes_of(tmp_path, lambda s: opened(s, -150.0)))
-    assert any(line.startswith("open at an end") for line in surface.notes)
-
-
-def test_bone_surface_many_triangles_are_thinned(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_landmarks_note_on_rare_size_or_shape(
+    scale: list[float], note: str, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(bone_surface, "MOST_TRIANGLES", 1000)
-    monkeypatch.setattr(bone_surface, "THINNING_SIZE", 6.0)
-    surface = bone_surface.read(bytes_of(tmp_path, lambda s: s))
-    assert len(surface.triangles) < 0.7 * len(parametric_femur().triangles)
-    assert "of 5,056 triangles left after merging corners within 6.0 mm" in " ".join(surface.notes)
+    surface, frame = judged(stl(tmp_path, parametric_femur().corners * scale))
+    notes = frame.doubts(surface)
+    assert len(notes) == bool(note)
+    assert re.search(note, " ".join(notes))
+
+
+def test_landmarks_note_on_length_over_head() -> None:
+    """A femur with condyles usually has 15 to 25 radii of the head.
+
+    Without them any length is allowed.
+    """
+    frame = landmarks.find(parametric_femur())
+    whole = replace(frame, version=0.2, length=18 * frame.radius)
+    assert whole.doubts(parametric_femur()) == []
+    (note,) = replace(whole, length=27 * frame.radius).doubts(parametric_femur())
+    assert "it is 613 mm long with its condyles; expected 341 to 568" in note
+    assert replace(whole, length=9 * frame.radius, version=None).doubts(parametric_femur()) == []
+
+
+def test_landmarks_note_where_the_image_cuts_the_bone() -> None:
+    """The lowest side of the image is the end of the scan.
+
+    Other sides cut off a part of the bone.
+    """
+    bone = parametric_femur()
+    low, top = bone.points[:, 2].min(), bone.points[:, 2].max()
+    end = bone.points[bone.points[:, 2] < low + 1.0]
+    head = bone.points[bone.points[:, 2] > top - 1.0]
+    side = np.tile([20.0, 0.0, -120.0], (9, 1))
+    frame = landmarks.find(bone)
+    assert frame.doubts(replace(bone, borders=(end,))) == []
+    above, beside = frame.doubts(replace(bone, borders=(head, end, side), doubts=()))
+    assert "the bone is cut by the border of the image at (4" in above
+    assert "(20, 0, -120) mm in the file (9 voxels); is a part of it missing?" in beside
+    assert frame.doubts(replace(bone, doubts=("one",))) == ["one"]

@@ -1,4 +1,4 @@
-"""Images in NRRD files: encodings, numbers in other files, and what is refused."""
+"""Images in NRRD files: encodings, numbers in other files, and refused files."""
 
 from __future__ import annotations
 

@@ -1,9 +1,11 @@
-"""A patient's femur: the parametric one as triangles, and the measured one, with a stem."""
+"""A patient's femur: the parametric one as triangles, and a measured one, with a stem."""
 
 from __future__ import annotations
 
 import math
+import random
 import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,6 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from app.case.geometries import Femur
 from app.case.hips import MUSCLES
@@ -37,7 +38,6 @@ from tests.patient.bones import (
     MEASURED,
     MEASURED_CANAL,
     VERSION,
-    cut,
     moved,
     parametric_canal,
     parametric_femur,
@@ -45,6 +45,7 @@ from tests.patient.bones import (
     write,
 )
 from tests.patient.patients import TURNED, as_own, made, measured, options, patient
+from tests.patient.surface_text import damaged, obj_faces, obj_vertices, ply_binary, put, stl
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +60,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_patient_bone_of_the_parametric_femur_equals_it(folder: Path) -> None:
-    """Volumes to 1 % beside the polygons, which are within the bone. The stem is the same.
+    """Volumes agree to 1 %, because the polygons are within the bone. The stem is the same.
 
     A canal by ratios leaves 2 mm of cortex in the metaphysis.
     """
@@ -78,7 +79,10 @@ def test_patient_bone_of_the_parametric_femur_equals_it(folder: Path) -> None:
 
 
 def test_patient_note_on_the_canal_has_the_level_of_its_file(folder: Path) -> None:
-    """The level at which the surface ends, and that of the last whole section of the mesh."""
+    """The note has the level at which the surface ends.
+
+    It also has that of the last whole section of the mesh.
+    """
     geometry = patient(folder, canal={"surface": "canal.stl", "ream": "broach"})
     bone = LayeredSurfaces(geometry, options()).bone
     assert isinstance(bone, MeasuredLayers) and geometry.femur.canal
@@ -115,7 +119,10 @@ IN = {"canal": {"ream": "broach"}, "insertion": PUT}
 
 
 def test_patient_stem_from_a_file_equals_the_parametric_stem(folder: Path) -> None:
-    """Circles of 6 mm agree to 0.008 mm, its axis to 0.005 mm; its end is flat."""
+    """Circles of 6 mm agree to 0.008 mm, the axis to 0.005 mm.
+
+    The end of the file's stem is flat.
+    """
     file = {"step": cad_stems.write("parametric", folder, neck=NECK)}
     given, here = patient(folder, **IN), patient(folder, stem=file, **IN)
     (there, expected), (data, volumes) = ((d, region_volumes(d)) for d in map(made, (given, here)))
@@ -133,7 +140,7 @@ def test_patient_stem_from_a_file_equals_the_parametric_stem(folder: Path) -> No
 
 
 def test_patient_right_femur_is_mirrored_with_its_stem(folder: Path) -> None:
-    """A stem that is not symmetric: its medial direction is that to a head beside its plane."""
+    """The stem is not symmetric. Its medial direction is that to a head outside its plane."""
     file, mirror = cad_stems.write("parametric", folder, neck=NECK), np.diag([-1.0, 1.0, 1.0])
     write(folder / "right.stl", moved(parametric_femur(), mirror, np.zeros(3)))
     shapes = []
@@ -161,7 +168,7 @@ def test_patient_muscles_are_on_the_bone_below_the_cut(folder: Path) -> None:
 
 
 def test_patient_stem_has_the_given_position(folder: Path) -> None:
-    """Version and offsets by the patient's neck."""
+    """Version and offsets are relative to the patient's neck."""
     at = patient(folder).placement
     aside = {"medial_offset": "2 mm", "anterior_offset": "1 mm"}
     put = patient(folder, insertion=aside | {"version": {"angle": "10 deg"}}).placement
@@ -186,107 +193,19 @@ def test_patient_stem_has_the_given_position(folder: Path) -> None:
 def test_patient_stem_without_room_is_refused_in_any_bone(
     stem: dict[str, str], words: str, folder: Path
 ) -> None:
-    """At its shoulder the parametric stem is 18.16 mm wide; half depths fall by 5.9 in 133 mm."""
+    """At its shoulder the parametric stem is 18.16 mm wide. Half depths fall by 5.9 in 133 mm."""
     with pytest.raises(ValidationError, match=words):
         patient(folder, stem=stem)
     with pytest.raises(ValidationError, match=words):
         Femur.model_validate({"stem": stem})
 
 
-# The parametric femur, whose stem is moved by hand.
-WIDE = {"canal_widening": "5 mm", "cement_thickness": "3 mm", "anteversion": "5 deg"}
-MOVED = {"varus": "2 deg", "version": {"angle": "8 deg"}, "medial_offset": "1 mm"}
-MOVED |= {"anterior_offset": "-1 mm"}
-
-
-def femur(**changes: Any) -> Femur:
-    return Femur.model_validate(WIDE | changes)
-
-
-@pytest.mark.parametrize("kind", ["parametric", "file"])
-def test_placement_moves_the_stem_but_not_the_bone(kind: str, tmp_path: Path) -> None:
-    """Nodes on the body turned by hand, and on the function of the periosteum."""
-    file = (
-        {"stem": {"step": cad_stems.write("parametric", tmp_path, neck=NECK)}}
-        if kind == "file"
-        else {}
-    )
-    geometry = femur(insertion=MOVED, **file)
-    data = _make(geometry, options(size="6 mm", around=36))
-    normal, level = cut(geometry)
-    medial, anterior = (Rotation.from_euler("z", 5 + a, degrees=True) for a in (0, 90))
-    shift = medial.apply([1.0, 0.0, 0.0]) - anterior.apply([1.0, 0.0, 0.0])
-    shift[2] = -normal[0] / normal[2]  # along the cut
-    turn = Rotation.from_euler("yz", [2, 5 + 8], degrees=True)
-    pivot = np.array([0.0, 0.0, level / normal[2]])
-    x = data.points[np.unique(interface_facets(data, "stem_cement")[0])]
-    x, y, z = (turn.inv().apply(x - pivot - shift) + pivot).T
-    flank = (z > -116 + 1e-6) & (z < 28.99)  # the file ends at its shoulder
-    x, y, z = x[flank], y[flank], z[flank]
-    radius = femur_stem.shaft_of(femur().implant).radius(np.arctan2(y, x), z)
-    assert len(z) > 200
-    assert np.hypot(x, y) == pytest.approx(radius, abs=1e-5 if kind == "parametric" else 0.02)
-    x, y, z = data.points[data.facets[np.isin(data.facet_tags, data.boundaries["bone_surface"])]].T
-    periosteum = femur_bone.PERIOSTEUM.radius(np.arctan2(y, x), z)
-    assert np.hypot(x, y) == pytest.approx(periosteum, abs=1e-5)
-    head = turn.apply(np.array([43.0, 0.0, 54.0]) - pivot) + pivot + shift
-    assert geometry.head_centre == pytest.approx(head, abs=1e-9 if kind == "parametric" else 0.02)
-    assert quality.quality_without_length(data.points, data.cells).min() > 0.05
-
-
-def test_placement_depth_is_that_of_the_shoulder() -> None:
-    normal, level = cut(femur())
-    on, deep = (femur(insertion={"depth": f"{d} mm"}).placement for d in (0, 3))
-    edge = np.array([[-9.0789, 0.0, 29.0]])
-    x, _, z = turned(on.to_model(edge), -math.radians(5))[0]
-    assert normal @ [x, 0.0, z] == pytest.approx(level, abs=1e-4)
-    assert on.to_model(edge) - deep.to_model(edge) == pytest.approx(np.array([[0, 0, 3.0]]))
-
-
-@pytest.mark.parametrize("kind", ["femur", "patient", "file"])
-def test_placement_shoulder_below_the_cut_has_cement_above(kind: str, folder: Path) -> None:
-    """The same metal at any depth. Its top begins at the edge, and ends at the cut.
-
-    By hand: the file's is flat and 11 mm long; the parametric one has 7.61 mm in 21.24 mm to the
-    neck, and is 7.9 mm long.
-    """
-    given: dict[str, Any] = {"cement_thickness": "3 mm"}
-    if kind == "file":
-        given["stem"] = {"step": cad_stems.write("exeter", folder)}
-    volumes = []
-    for depth in (0, 9):
-        given["insertion"] = {"depth": f"{depth} mm"}
-        geometry = femur(**given) if kind == "femur" else patient(folder, **given)
-        data = _make(geometry, options(size="6 mm", around=14))
-        volumes.append(region_volumes(data))
-        assert quality.quality_without_length(data.points, data.cells).min() > 0.05
-    metal, there = (v["stem"] for v in volumes)
-    assert metal == pytest.approx(there, rel=2e-3)
-    level, rise = (
-        femur_stem.shoulder_plane_height(geometry.implant, 0.0),
-        0.0 if kind == "file" else 7.61 / 21.24,
-    )
-    x = data.points[np.unique(interface_facets(data, "stem_cement")[0])]
-    x, y, z = geometry.placement.to_stem(x).T
-    along = x + 9.08
-    top = (x < 2.5) & (z > level + (-0.01 if kind == "file" else 0.1))
-    middle = top & (np.abs(y) < (6 if kind == "file" else 0.01))
-    assert z[middle] == pytest.approx(level + rise * along[middle], abs=0.01)
-    assert along[middle].max() == pytest.approx(9 / (0.781 + rise), abs=0.3)
-    assert (z[top] < level + rise * along[top] + 0.01).all()
-
-
-def test_placement_refuses_a_stem_outside_the_canal() -> None:
-    with pytest.raises(GeometryError, match=r"cuts .* mm into the cortex .*laterally at .* insert"):
-        made(femur(insertion={"varus": "6 deg"}))
-
-
 def random_patient(
     folder: Path, seed: int, bone: BoneSurface, canal: BoneSurface, deepest: float = 2.0
 ) -> Patient:
-    """A bone stretched and sheared, left or right; stem, mantle, cut, position, canal at random.
+    """A bone stretched and sheared, left or right, with random stem, mantle, cut, position, canal.
 
-    Every fifth has a stem from CAD.
+    Every fifth stem is from CAD.
     """
     rng = np.random.default_rng(seed)
     shear = np.triu(math.tan(math.radians(3)) * rng.uniform(-1, 1, (3, 3)), 1)
@@ -315,7 +234,7 @@ def random_patient(
 
 
 def _own(geometry: Patient) -> Floats:
-    """Points of the parametric stem, in its axes (n, 3) [mm]."""
+    """Points of the parametric stem in axes of the stem (n, 3) [mm]."""
     placement, implant = geometry.placement, geometry.implant
     z, phi = np.meshgrid(np.arange(-geometry.stem.length, 20.0), np.arange(48) / 48)
     slope, lean = placement.slopes
@@ -333,7 +252,8 @@ def _own(geometry: Patient) -> Floats:
 def distance(geometry: Patient) -> float:
     """Least distance of the stem below the cut from the bone's triangles, up to 10 mm [mm].
 
-    Points of both: no sections, no rays. It is near 0 where a stem leaves the bone.
+    Points of both are compared, without sections or rays. The distance is near 0 where a stem
+    leaves the bone.
     """
     placement, corners = geometry.placement, geometry.femur.surface.corners
     if isinstance(geometry.stem, StemFile):
@@ -350,7 +270,10 @@ def distance(geometry: Patient) -> float:
 
 
 def check(geometry: Patient, seed: int) -> bool:
-    """Meshed at the first attempt, or rightly refused with the place; whether it was meshed."""
+    """Return whether the mesh was made at the first attempt.
+
+    Otherwise the refusal must name the right place.
+    """
     mesh = options(size=f"{6 + seed % 3} mm", order=1 + seed % 2, around=None)
     try:
         data = _make(geometry, mesh)
@@ -373,7 +296,10 @@ def test_patient_random_cases_mesh_or_are_refused(tmp_path: Path, seed: int) -> 
 @measured
 @pytest.mark.slow
 def test_patient_hundred_copies_have_room_in_four_fifths(tmp_path: Path) -> None:
-    """On the measured femur, larger by a fifth; at least four fifths have room for the stem."""
+    """Copies of the measured femur are larger by a fifth.
+
+    At least four fifths have room for the stem.
+    """
     surfaces = [
         moved(bone_surface.read(path, "mm"), 1.2 * np.eye(3), np.zeros(3))
         for path in (MEASURED, MEASURED_CANAL)
@@ -384,7 +310,10 @@ def test_patient_hundred_copies_have_room_in_four_fifths(tmp_path: Path) -> None
 
 @measured
 def test_patient_cells_at_calcar_and_plug_are_sound(tmp_path: Path) -> None:
-    """One of the worst of a hundred: layers are oblique at the neck, sections long in the shaft."""
+    """This is one of the worst of a hundred patients.
+
+    Layers are oblique at the neck, and sections long in the shaft.
+    """
     surfaces = [
         moved(bone_surface.read(path, "mm"), 1.2 * np.eye(3), np.zeros(3))
         for path in (MEASURED, MEASURED_CANAL)
@@ -397,7 +326,7 @@ def test_patient_cells_at_calcar_and_plug_are_sound(tmp_path: Path) -> None:
 
 
 def measured_hip(folder: Path, cement: float, mirrored: bool = False) -> Patient:
-    """The measured femur with a stem from a file, placed as in docs/howto/your_hip.md."""
+    """The measured femur with a stem from a file, placed by docs/howto/your_hip.md."""
     change = np.diag([-1.0 if mirrored else 1.0, 1.0, 1.0])
     for name, path in (("bone", MEASURED), ("canal", MEASURED_CANAL)):
         write(folder / f"{name}.stl", moved(bone_surface.read(path, "mm"), change, np.zeros(3)))
@@ -413,7 +342,7 @@ def measured_hip(folder: Path, cement: float, mirrored: bool = False) -> Patient
 @measured
 @pytest.mark.parametrize("size", [3.1, 3.0, 2.7, 2.2])
 def test_patient_measured_femur_meshes_at_any_size(tmp_path: Path, size: float) -> None:
-    """A station can cut off the corner of the shoulder next to the neck: a horn of the section."""
+    """A section can cut off the corner of the shoulder next to the neck, which leaves a horn."""
     data = _make(measured_hip(tmp_path, 3.0), options(size=f"{size} mm", around=None))
     assert quality.quality_without_length(data.points, data.cells).min() > 0.035
 
@@ -423,7 +352,7 @@ def test_patient_measured_femur_meshes_at_any_size(tmp_path: Path, size: float) 
 @pytest.mark.parametrize("cement", [2.0, 3.0, 5.0])
 @pytest.mark.parametrize("kind", ["parametric", "measured", "mirrored"])
 def test_patient_meshes_at_all_sizes(tmp_path: Path, kind: str, cement: float) -> None:
-    """From 8 to 2 mm by 0.1, curved: none is refused; no cell, if shorter, is below 0.03."""
+    """Curved meshes of 8 to 2 mm by 0.1 are accepted. No cell, if shorter, is below 0.03."""
     if kind == "parametric":
         geometry: Any = Femur.model_validate({"cement_thickness": f"{cement} mm"})
     else:
@@ -436,7 +365,7 @@ def test_patient_meshes_at_all_sizes(tmp_path: Path, kind: str, cement: float) -
 
 @measured
 def test_patient_stem_too_deep_is_refused_with_remedy(tmp_path: Path) -> None:
-    """A thin calcar next to a shoulder 11 mm below the cut: layers fold, at all sizes near."""
+    """A thin calcar is next to a shoulder 11 mm below the cut. Layers fold at all similar sizes."""
     surfaces = [
         moved(bone_surface.read(path, "mm"), 1.2 * np.eye(3), np.zeros(3))
         for path in (MEASURED, MEASURED_CANAL)
@@ -452,7 +381,10 @@ def test_patient_stem_too_deep_is_refused_with_remedy(tmp_path: Path) -> None:
 
 
 def test_patient_places_in_an_image_are_inside_the_bone(folder: Path) -> None:
-    """Of a bone turned, shifted and mirrored: at least 1.5 mm deep, and no deeper than they are."""
+    """The bone is rotated, shifted and mirrored.
+
+    Places are at least 1.5 mm deep, and at their true depth.
+    """
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     shift = np.array([50.0, -20.0, 900.0])
     here, there = (patient(folder, bone={"surface": f"bone{k}.stl"}) for k in ("", "_moved"))
@@ -470,10 +402,53 @@ def test_patient_places_in_an_image_are_inside_the_bone(folder: Path) -> None:
 
 @pytest.mark.parametrize(("height", "noted"), [("25 mm", False), ("30 mm", True)])
 def test_patient_leg_length_is_noted(folder: Path, height: str, noted: bool) -> None:
-    """The head of the stem against that of the bone, along the shaft."""
+    """The head of the stem is compared with that of the bone, along the shaft."""
     geometry = patient(folder, stem={"head_height": height}, canal={"ream": "broach"})
     case = support.case("base: stance").model_copy(update={"geometry": geometry})
     longer = lengthening(geometry)
     notes = [v.what for v in preview.input_notes(case) if "the leg becomes" in v.what]
     assert (abs(longer) > 10.0) == noted
     assert notes == ([f"the leg becomes {longer:.0f} mm longer"] if noted else [])
+
+
+def odd(corners: Any, seed: int) -> Any:
+    """Triangles of a bone. Some are missing, stretched, doubled, cut or wavy."""
+    rng = np.random.default_rng(seed)
+    match seed % 5:
+        case 0:
+            return corners[rng.random(len(corners)) > rng.choice([0.5, 0.9, 0.02])]
+        case 1:
+            return corners @ np.diag(rng.uniform(0.4, 2.0, 3))
+        case 2:
+            return np.concatenate([corners, corners + rng.normal(size=3)])
+        case 3:
+            return corners[corners[:, :, 2].mean(axis=1) > rng.uniform(-250, 50)]
+        case _:
+            return corners + rng.normal(0, 0.3, 3) * np.sin(corners * rng.uniform(0.1, 3))
+
+
+@pytest.mark.slow
+def test_patient_placement_of_damaged_bones_or_refusal(tmp_path: Path) -> None:
+    """Bytes of files, or shapes, are damaged. Numpy prints no warnings."""
+    surface = parametric_femur()
+    whole = {
+        "bone.stl": write(tmp_path / "bone.stl", surface).read_bytes(),
+        "bone.obj": (obj_vertices(surface.points) + obj_faces(surface.triangles)).encode(),
+        "bone.ply": ply_binary(surface),
+    }
+    for seed in range(60):
+        rng = random.Random(seed)
+        name = rng.choice(sorted(whole)) if seed % 4 else "bone.stl"
+        if seed % 4:
+            put(tmp_path, name, damaged(rng, whole[name]))
+        else:
+            stl(tmp_path, odd(surface.corners, seed // 4))
+        given = {"bone": {"surface": name, "unit": "mm"}, "stem": {"length": "100 mm"}}
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                Patient.model_validate(given, context={"folder": tmp_path})
+        except ValidationError:
+            continue
+        except BaseException as error:
+            raise AssertionError(f"seed {seed}: {name}") from error

@@ -1,4 +1,4 @@
-"""The femur among the structures of a segmentation, by names and by numbers."""
+"""The femur among the structures of a segmentation, by name and by number."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def nifti(path: Path, *numbers: int, table: str = "") -> Path:
 
 
 def test_segmentation_femur_by_number_of_totalsegmentator(tmp_path: Path) -> None:
-    """Of version 2, and of version 1 by its hip bones."""
+    """Numbers are those of version 2, and of version 1, which its hip bones reveal."""
     second = segmentation.femur(nifti(tmp_path / "s.nii.gz", 75, 77, 51), None, None)
     assert (second.number, second.name, second.side) == (75, "femur_left", "left")
     first = segmentation.femur(nifti(tmp_path / "s1.nii.gz", 89, 91, 51), None, None)
@@ -39,7 +39,7 @@ def test_segmentation_femur_by_number_of_totalsegmentator(tmp_path: Path) -> Non
 
 
 def test_segmentation_given_number_has_no_side_by_chance(tmp_path: Path) -> None:
-    """A left femur with the label 76; beside label 75 it would be a right one."""
+    """A left femur has the label 76. Next to label 75 it would be a right one."""
     path = nifti(tmp_path / "s.nii.gz", 5, 76)
     femur = segmentation.femur(path, "left", "76")
     assert (femur.number, femur.name, femur.side) == (76, "", None)
@@ -48,7 +48,7 @@ def test_segmentation_given_number_has_no_side_by_chance(tmp_path: Path) -> None
 
 
 def test_segmentation_femur_by_name(tmp_path: Path) -> None:
-    """Of the table in NIfTI, of the file, of a folder, of segments of 3D Slicer."""
+    """Names are those of the table in NIfTI, of the file, of a folder, of segments of 3D Slicer."""
     table = segmentation.femur(nifti(tmp_path / "t.nii.gz", 1, 2, table=TABLE), None, None)
     assert (table.number, table.name) == (1, "femur_left")
     one = nifti(tmp_path / "femur_right.nii.gz", 1)
@@ -103,3 +103,30 @@ def test_segmentation_structures_without_names_are_described_by_their_label() ->
     named = segmentation.Structure(path, 75, "femur_left", "by its file")
     assert str(unnamed) == "label 1 of labels.nii.gz"
     assert str(named) == "femur_left (label 75 of labels.nii.gz)"
+
+
+@pytest.mark.parametrize(
+    ("name", "side"),
+    [
+        ("LeftFemur", "left"),
+        ("Femur R", "right"),
+        ("femur_left", "left"),
+        ("FEMUR-RIGHT", "right"),
+        ("FemurL", "left"),
+        ("femur", None),
+        ("RightAndLeft", None),
+        ("Larger femur", None),
+    ],
+)
+def test_segmentation_side_follows_from_the_name(name: str, side: str | None) -> None:
+    assert segmentation.Structure(Path("image.nii"), 1, name, "test").side == side
+
+
+def test_segmentation_two_segments_of_one_name_are_both_there(tmp_path: Path) -> None:
+    bone = np.arange(27).reshape(3, 3, 3) < 9
+    ball = ~bone
+    path = nrrd_files.segmentation(
+        tmp_path / "s.seg.nrrd", [bone, ball], [("femur", 0, 1), ("femur", 1, 1)]
+    )
+    with pytest.raises(InputError, match=r"femora: femur \(label 1\), femur \(1\) \(label 2\)"):
+        segmentation.femur(path, None, None)

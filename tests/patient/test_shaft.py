@@ -1,4 +1,4 @@
-"""The shaft of a femur that ends with its scan: where it ends, its axis, its continuation."""
+"""The shaft of a femur that ends with its scan: its end, its axis, its continuation."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def cylinder() -> BoneSurface:
 
 
 def scanned(surface: BoneSurface, point: Floats, normal: Floats) -> BoneSurface:
-    """The part of a surface on the side of a plane to which its normal points, closed there."""
+    """The part of a surface on the side to which a plane's normal points, closed at the plane."""
     n = unit_vectors(np.asarray(normal, dtype=float))
     a = unit_vectors(np.cross([0.0, 1.0, 0.0], n))
     axes = np.stack([a, np.cross(n, a), n])
@@ -84,7 +84,7 @@ def test_shaft_clipped_keeps_the_area_above() -> None:
 
 @pytest.mark.parametrize("below", [75.0, 100.0, 150.0])
 def test_shaft_continued_is_that_of_the_whole_femur(tmp_path: Path, below: float) -> None:
-    """Mean radius and axis below the end of the scan, within the interval of the axis."""
+    """Mean radius and axis below the end of the scan are within the interval of the axis."""
     write(tmp_path / "bone.stl", below_head(parametric_femur(), below))
     geometry = patient(
         tmp_path, bone={"surface": "bone.stl", "unit": "mm"}, canal={"ream": "broach"}
@@ -105,7 +105,7 @@ def test_shaft_continued_is_that_of_the_whole_femur(tmp_path: Path, below: float
 
 
 def test_shaft_continued_carries_canal_and_mesh(tmp_path: Path) -> None:
-    """A canal that ends with the scan goes on with the bone; the mesh has the length it needs."""
+    """A canal that ends with the scan continues with the bone. The mesh has the required length."""
     write(tmp_path / "bone.stl", below_head(parametric_femur(), 150.0))
     write(tmp_path / "canal.stl", below_head(parametric_canal(), 150.0))
     geometry = patient(
@@ -123,7 +123,7 @@ def test_shaft_continued_carries_canal_and_mesh(tmp_path: Path) -> None:
 
 
 def wide_canal(scale: float) -> BoneSurface:
-    """The canal of mantle's femur, but wider above the diaphysis, by a factor at its top."""
+    """The canal of mantle's femur, widened above the diaphysis by a factor at its top."""
     canal = parametric_canal()
     x = canal.points.copy()
     x[:, :2] *= (1.0 + (scale - 1.0) * np.clip((x[:, 2] + 55.0) / 20.0, 0.0, 1.0))[:, None]
@@ -165,7 +165,7 @@ def test_shaft_canal_below_a_wide_metaphysis_is_that_of_a_shaft(
 
 @pytest.mark.parametrize("below", [None, 76.0])
 def test_shaft_canal_by_ratios_has_a_given_isthmus(tmp_path: Path, below: float | None) -> None:
-    """By default it is as wide as the parametric one, on a whole bone and on a scan of it."""
+    """The default isthmus is as wide as the parametric one, on a whole bone and on a scan of it."""
     surface = parametric_femur()
     write(tmp_path / "bone.stl", surface if below is None else below_head(surface, below))
     bone = {"surface": "bone.stl", "unit": "mm"}
@@ -195,7 +195,7 @@ def test_shaft_canal_by_ratios_has_a_given_isthmus(tmp_path: Path, below: float 
 
 
 def test_shaft_points_below_the_end_have_places_in_the_scan(tmp_path: Path) -> None:
-    """A point of the continued wall has the modulus of the last section, at the same part of it."""
+    """A point of the continued wall has the modulus at its relative depth in the last section."""
     write(tmp_path / "bone.stl", below_head(parametric_femur(), 100.0))
     femur = patient(tmp_path, bone={"surface": "bone.stl", "unit": "mm"}).femur
     continued, end = femur.continuation, femur.continuation.end
@@ -218,7 +218,7 @@ def test_shaft_points_of_a_continued_wall_are_not_in_the_canal_of_the_scan(
 ) -> None:
     """The middle of the wall is moved up to the middle of the wall of the last section.
 
-    That wall is thinner: its canal is that of the metaphysis.
+    That wall is thinner, because its canal is that of the metaphysis.
     """
     write(tmp_path / "bone.stl", below_head(parametric_femur(), 85.0))
     write(tmp_path / "canal.stl", below_head(wide_canal(1.4), 85.0))
@@ -254,7 +254,10 @@ def test_shaft_points_of_a_continued_wall_are_not_in_the_canal_of_the_scan(
 def test_shaft_refuses_a_scan_that_ends_too_high(
     tmp_path: Path, below: float, changes: dict[str, Any], message: str
 ) -> None:
-    """At the lesser trochanter, above it, and beside the stem where nothing may be continued."""
+    """The scan ends at the lesser trochanter, above it, or next to the stem.
+
+    No continuation is possible there.
+    """
     write(tmp_path / "bone.stl", below_head(parametric_femur(), below))
     with pytest.raises((ValidationError, GeometryError), match=message):
         patient(tmp_path, bone={"surface": "bone.stl", "unit": "mm"} | changes)

@@ -1,4 +1,4 @@
-"""A press fit: its interference by place, motion since the insertion, its messages."""
+"""A press fit: interference by place, motion since the insertion, messages."""
 
 from __future__ import annotations
 
@@ -127,9 +127,9 @@ def test_press_fit_micromotion_is_without_the_insertion(tmp_path: Path) -> None:
 
 
 def test_press_fit_subsidence_counts_from_the_end_of_the_insertion(tmp_path: Path) -> None:
-    """The upper block rises by the interference from the lower one, and then only slides.
+    """The upper block rises by the interference from the lower one, then slides.
 
-    All meshes give the exact motion, so its error is zero: the companions of the error estimate
+    All meshes give the exact motion, so its error is zero. The companions of the error estimate
     count from the end of the insertion, too.
     """
     results = support.run(
@@ -176,7 +176,10 @@ def raised_collar(
 
 
 def test_press_fit_raises_a_collar() -> None:
-    """Also a collar of which a corner still touches; not one that is seated or has a clearance."""
+    """A collar with a corner in contact is raised, too.
+
+    A seated one or one with a clearance is not.
+    """
     (verdict,) = raised_collar(0.0158, 0.0129, 0.0158, 0.97)
     assert "raises the stem by 15.8 um" in verdict.what and "-0.016 mm" in verdict.remedy
     assert "97 % of its collar is off the bone, by 12.9 um in the mean" in verdict.what
@@ -185,7 +188,7 @@ def test_press_fit_raises_a_collar() -> None:
 
 
 def test_press_fit_collar_with_a_gap_is_raised_only_if_most_of_it_is_off_the_bone() -> None:
-    """A tilted collar. The stem rises by 7.8 and 8.9 um at gaps of -0.007 and -0.016 mm."""
+    """The collar is tilted. The stem rises by 7.8 and 8.9 um at gaps of -0.007 and -0.016 mm."""
     (verdict,) = raised_collar(0.0078, 0.0044, 0.0085, 0.65)
     assert "change the `gap` of interfaces.collar_bone by -0.009 mm" in verdict.remedy
     assert "seat" not in verdict.remedy
@@ -223,7 +226,10 @@ def test_press_fit_notes_an_interference_that_bone_does_not_bear(key: str, place
 
 
 def test_press_fit_strain_after_the_insertion_is_that_of_the_pressure(tmp_path: Path) -> None:
-    """A bar that is pressed along z: half of the interference over its length, without hoop."""
+    """A bar is pressed along z.
+
+    The strain is half of the interference over its length, without hoop.
+    """
     results = support.run(
         PRESSED,
         tmp_path / "case",
@@ -239,7 +245,10 @@ def test_press_fit_strain_after_the_insertion_is_that_of_the_pressure(tmp_path: 
 
 
 def test_press_fit_with_an_elastic_layer_says_its_compression(tmp_path: Path) -> None:
-    """Blocks of 4 mm and a layer in series: the interference over the sum of their compliances."""
+    """Blocks of 4 mm and a layer are in series.
+
+    The pressure is the interference over the sum of compliances.
+    """
     layer = "interfaces.bone_metal.elastic_layer={normal: 100 MPa/mm, tangential: 100 MPa/mm}"
     results = support.run(PRESSED, tmp_path / "case", "output.report=false", layer)
     compression = INTERFERENCE / (1.0 / 100.0 + 8.0 / 1000.0) / 100.0
@@ -252,10 +261,10 @@ def test_press_fit_with_an_elastic_layer_says_its_compression(tmp_path: Path) ->
 
 
 def test_press_fit_ingrowth_counts_the_motion_of_the_last_cycle(tmp_path: Path) -> None:
-    """The upper block slides by the shift and returns to a tenth: 0.9 times the shift is inducible.
+    """The upper block slides by the shift and returns to a tenth.
 
-    With a shift of 0.2 mm the whole area moves by more than 150 um; a stage without cycles after it
-    has no inducible motion.
+    So 0.9 times the shift is inducible. With a shift of 0.2 mm the whole area moves by more than
+    150 um. A stage without cycles after it has no inducible motion.
     """
     far = "supports.top.x=0.2 mm"
     cycles = "stages=[{name: insertion}, {name: shift, cycles: 2}]"
@@ -346,7 +355,7 @@ def test_press_fit_findings_say_areas_and_strains() -> None:
 
 
 def test_press_fit_ingrowth_states_the_area_that_does_not_touch_bone() -> None:
-    """Of the interface and of each zone, above 5 % of its area."""
+    """The interface and each zone have an area, above 5 % of their area."""
     moving = {"area": 200.0, "area_micromotion_over_40um": 22.0, "area_micromotion_over_150um": 0.0}
     q = moving | {"open_fraction": 0.387, "gap_p99": 0.1706}
     q["zones"] = {
@@ -401,9 +410,10 @@ def test_press_fit_refuses_reaming_for_cement() -> None:
 
 
 def test_press_fit_shear_obeys_the_elastic_layer(tmp_path: Path) -> None:
-    """Also on the edge of the tip, where friction on a face could carry the pressure of another.
+    """Shear is the stiffness, 20 MPa/mm, times the elastic part of the motion.
 
-    Shear is the stiffness, 20 MPa/mm, times the elastic part of the motion.
+    The edge of the tip obeys this too, where friction on a face could carry the pressure of
+    another.
     """
     changes = {"mesh.size": "12 mm", "geometry.tip_void": "0 mm", "output": {"error": False}}
     run = mantle.run(mantle.load(CONFIGS / "pressed.yaml", **changes), tmp_path)
@@ -418,7 +428,7 @@ def test_press_fit_shear_obeys_the_elastic_layer(tmp_path: Path) -> None:
 def test_press_fit_of_straight_cells_converges(size: int, tmp_path: Path) -> None:
     """Corners of the stem are round, although facets of coarse cells meet there at 45 degrees.
 
-    With two faces for a corner no solver converges for friction of 0.3 without an elastic layer.
+    Two faces per corner make friction of 0.3 without an elastic layer diverge with all solvers.
     """
     changes = {
         "mesh": {"size": f"{size} mm", "order": 1},

@@ -37,7 +37,7 @@ MODULES = {module(path): path for path in [ROOT / "mantle.py", *sources(*FOLDERS
 
 @cache
 def imported(path: Path) -> frozenset[str]:
-    """Return the modules that a file imports, wherever in it; for type checkers alone, too."""
+    """Return all modules that a file imports, also inside functions and for type checkers alone."""
     this = module(path)
     names_of_modules = set()
     for node in ast.walk(tree(path)):

@@ -1,4 +1,4 @@
-"""The manual: links lead somewhere, commands parse, cases load, generated pages are up to date."""
+"""The manual: links resolve, commands parse, cases load, generated pages are up to date."""
 
 from __future__ import annotations
 

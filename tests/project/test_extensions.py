@@ -1,4 +1,4 @@
-"""Packages that add to the core: without its folder, the core runs what does not need it."""
+"""Extension packages: without the folder of one, the core runs all else."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_extensions_core_names_no_section_of_one() -> None:
 
 
 def test_extensions_core_solves_finite_sliding_without_bearings(tmp_path: Path) -> None:
-    """Contact is solved; there are no numbers of sliding, and heat between the sides is refused."""
+    """Contact is solved. There are no numbers of sliding, and heat between the sides is refused."""
     program = without("bearing", tmp_path / "program")
     case = program / "configs" / "verification" / "drawn_block.yaml"
     two = "stages=[{name: press}, {name: there, increments: 3}]", "supports.along.history=[0, 1]"

@@ -1,4 +1,4 @@
-"""The layers of the program, read from its source: packages, directions, names, who may do what."""
+"""The layers of the program by its source: packages, directions of imports, names, duties."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ STACK = {"dolfinx", "petsc4py", "ufl", "mpi4py", "basix", "ffcx", "gmsh", "h5py"
 
 
 def package_of(name: str) -> str:
-    """The package of a module; empty for what is beside them."""
+    """The package of a module; empty for modules outside of packages."""
     parts = name.split(".")
     known = {package for row in ROWS for package in row}
     inner = parts[1] if parts[0] == "app" and len(parts) > 1 else parts[0]
@@ -119,19 +119,27 @@ def test_layering_modules_do_not_import_test_modules(path: Path) -> None:
     assert not {name for name in names if name == "conftest" or name.startswith("test_")}
 
 
+# Folders in which a file is named after a behaviour that spans modules.
+BEHAVIOURS = ("command_line", "demos", "parallel", "project", "robustness", "verification")
+
+
 @all_of("tests")
 def test_layering_tests_are_named_after_modules(path: Path) -> None:
     """`pytest -k krylov` finds the tests of `krylov.py`."""
-    modules = {file.stem for file in MODULES.values()}
-    subject = path.stem.removeprefix("test_")
-    singular = subject.removesuffix("s")
-    if subject not in modules:
+    if not path.name.startswith("test_"):
         return
-    for node in tree(path).body:
-        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
-            name = node.name.removeprefix("test_")
-            named_after = any(name.startswith(f"{stem}_") for stem in modules)
-            assert singular in name or named_after, node.name
+    package = path.parent.name
+    modules = {file.stem for file in MODULES.values() if file.parent.name == package}
+    if package not in BEHAVIOURS:
+        subject = path.stem.removeprefix("test_")
+        named_after = (name for name in (*modules, package) if f"{subject}_".startswith(f"{name}_"))
+        assert list(named_after), "no module of this name in the package"
+    tests = [
+        node.name
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")
+    ]
+    assert [name for name in tests if not name.startswith(f"{path.stem}_")] == []
 
 
 def test_layering_files_of_the_map_exist() -> None:
@@ -182,14 +190,20 @@ def test_layering_meshes_import_only_foundation_and_mesh_files(path: Path) -> No
     assert {package_of(m) for m in of_app} <= {"foundation", "mesh_files"}
 
 
+# Modules whose classes other packages ask by methods.
+LAWS = tuple(
+    f"app.laws.{name}"
+    for name in ("interface_laws", "contact_laws", "traction_laws", "loads", "supports")
+)
+
+
 @all_of("app")
-def test_layering_no_branches_by_kind_of_law(path: Path) -> None:
-    """They answer for themselves; what a law needs of the solver stack it imports when asked."""
+def test_layering_no_branches_by_class_or_kind_of_law(path: Path) -> None:
+    """Laws, loads and supports answer by methods. Laws import UFL inside methods."""
     laws = {
         alias.asname or alias.name
         for node in ast.walk(tree(path))
-        if isinstance(node, ast.ImportFrom)
-        and node.module in ("app.laws.interface_laws", "app.laws.loads", "app.laws.supports")
+        if isinstance(node, ast.ImportFrom) and node.module in LAWS
         for alias in node.names
     }
     names = (ast.unparse(n.cls) for n in ast.walk(tree(path)) if isinstance(n, ast.MatchClass))
@@ -197,7 +211,11 @@ def test_layering_no_branches_by_kind_of_law(path: Path) -> None:
     compared = {ast.unparse(n.left) for n in ast.walk(tree(path)) if isinstance(n, ast.Compare)}
     if module(path) != "app.simulation.calculix":  # which laws another program has
         assert not compared & {"law.kind", "load.kind", "support.kind", "s.kind"}
-    # The solver's side of the program sees laws and scene alone.
+
+
+@all_of("app")
+def test_layering_solver_does_not_import_the_case(path: Path) -> None:
+    """The solver and the numbers of its states import laws and scene alone."""
     solving = {"numerics", "mechanics", "heat", "stepping"}
     if package_of(module(path)) in solving or module(path) in (
         "app.scene.bodies",
@@ -239,7 +257,7 @@ def test_layering_one_module_imports_yaml(path: Path) -> None:
 
 @all_of("app", "forms")
 def test_layering_comm_world_only_at_the_top(path: Path) -> None:
-    """Everything below takes the communicator it is given."""
+    """All other modules use the communicator that they get."""
     world = [
         node.lineno
         for node in ast.walk(tree(path))
@@ -270,7 +288,7 @@ def names_in(node: ast.AST) -> set[str]:
 
 
 def classes_asked_for(path: Path) -> set[str]:
-    """Classes of laws by which a file branches: in `isinstance`, `type(x) in` and `case`."""
+    """Classes of laws by which a file branches: `isinstance`, `type(x) in` and `case`."""
     asked: set[str] = set()
     for node in ast.walk(tree(path)):
         if isinstance(node, ast.Call) and names_in(node.func) & {"isinstance", "issubclass"}:

@@ -1,4 +1,4 @@
-"""The public functions for Python, and what importing and installing mantle brings along."""
+"""The public functions for Python, and modules that importing and installing mantle loads."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def python(*arguments: str, **more: str) -> str:
 
 
 def test_public_import_starts_neither_mpi_nor_petsc() -> None:
-    """A process that starts ranks does without, and pictures and units wait for their use."""
+    """A process that starts ranks needs no MPI. Pictures and units are imported on use."""
     loaded = python("-c", "import sys, mantle; print(*sys.modules)").split()
     stack = {"dolfinx", "petsc4py", "mpi4py", "gmsh", "h5py", "matplotlib", "pint"}
     assert "mantle" in loaded and not stack & {name.partition(".")[0] for name in loaded}
@@ -102,7 +102,7 @@ def test_public_host_keeps_its_settings(tmp_path: Path) -> None:
 
 
 def test_public_host_without_mpi_keeps_its_environment(tmp_path: Path) -> None:
-    """MPI starts within the run: the folder that it gets is for the run alone."""
+    """MPI starts within the run, and its folder is for the run alone."""
     host = """
 import os, sys
 os.environ["TMPDIR"] = sys.argv[3]
@@ -147,7 +147,8 @@ def test_public_check_returns_case_and_size() -> None:
     assert estimated.description == counted.description
     assert "estimated" in estimated.size and "estimated" not in counted.size
     assert "the result will be zero" in estimated.notes[0].text
-    assert str(estimated).count("\nnote: ") == len(estimated.notes) == len(counted.notes)
+    assert str(estimated).count("\nnote: ") == len(counted.notes)
+    assert len(estimated.notes) == len(counted.notes)
 
 
 def test_public_mesh_returns_plain_arrays() -> None:
@@ -286,7 +287,7 @@ def test_public_examples_run(path: Path, tmp_path: Path, monkeypatch: pytest.Mon
 
 @pytest.mark.slow
 def test_public_wheel_installs_five_names(tmp_path: Path) -> None:
-    """With the shipped cases, and without the other folders of a checkout."""
+    """The wheel has the shipped cases, and no other folders of a checkout."""
     pytest.importorskip("setuptools")
     checkout = tmp_path / "checkout"
     for folder in ("app", "forms", "meshes", "configs"):

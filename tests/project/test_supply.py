@@ -1,4 +1,4 @@
-"""Parts of mantle: dependencies that are complete and bounded, and the list of all parts."""
+"""Parts of mantle: complete and bounded dependencies, and the list of all parts."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_supply_dependencies_have_bounds(text: str) -> None:
 
 
 def test_supply_dolfinx_is_of_a_known_series() -> None:
-    """The interface changes with every series: `app.foundation.dolfinx_features` knows these."""
+    """The interface changes with every series; `app.foundation.dolfinx_features` has these."""
     (dolfinx,) = (Requirement(t) for t in PROJECT["dependencies"] if "dolfinx" in t)
     known = [v for v in ("0.8.0", "0.9.5", "0.10.0", "0.11.0", "0.12.0") if v in dolfinx.specifier]
     assert known == ["0.9.5", "0.10.0", "0.11.0"]
@@ -70,7 +70,7 @@ def named(requirements: list[str]) -> dict[str, Requirement]:
 
 
 def test_supply_wheels_have_allowed_versions() -> None:
-    """The wheel of DOLFINx brings its parts, PETSc and MPI along; the linter comes by itself."""
+    """The wheel of DOLFINx contains PETSc and MPI. The linter is installed apart."""
     brought = {"fenics-dolfinx", "fenics-ufl", "fenics-basix", "fenics-ffcx", "petsc4py", "mpi4py"}
     wheels = named(packages.requirements("wheel"))
     extras = (*EXTRA["many"], *EXTRA["test"], *EXTRA["dicom"])
@@ -100,7 +100,7 @@ def test_supply_image_recipes_read_the_list(recipe: str) -> None:
 
 
 def test_supply_linter_has_known_digests() -> None:
-    """In a form that pip believes nothing else of."""
+    """The list of ruff has digests, and mantle installs it with --require-hashes."""
     text = (ROOT / "tests" / "ruff.txt").read_text()
     assert re.findall(r"^ruff\S*", text, re.MULTILINE) == EXTRA["lint"]
     assert len(re.findall(r"--hash=sha256:[0-9a-f]{64}\b", text)) >= 2

@@ -1,4 +1,4 @@
-"""Runs that several tests of reports read."""
+"""Runs for several tests of reports."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.support import STEM
 
 @pytest.fixture(scope="session")
 def stems(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Run]:
-    """A stem loaded in two stages, at second order; and the same on the same mesh, rougher."""
+    """A stem loaded in two stages at second order, and a rougher one on the same mesh."""
     folder = tmp_path_factory.mktemp("stems")
     text = STEM.replace("order: 1", "order: 2").replace("-900 N]", "-900 N], history: [0.5, 1]")
     (folder / "case.yaml").write_text(text + "stages: [{name: half}, {name: whole}]\n")

@@ -1,4 +1,4 @@
-"""Made-up sweeps, written as `mantle sweep` writes them."""
+"""Made-up sweeps in the format of `mantle sweep`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MODULI = {"titanium": 110, "CoCr": 200}
 
 
 def femur(stem: str = "titanium", thickness: float = 4.0, mu: float = 1.0) -> dict[str, Any]:
-    """Keys of a case that reports read."""
+    """Keys of a case for reports."""
     return {
         "geometry": {"kind": "femur", "cement_thickness": f"{thickness:g} mm"},
         "mesh": {"size": "4 mm"},
@@ -68,7 +68,7 @@ CEMENTED = ("gap", "slip", "motion", "pressure", "shear")
 
 
 def contact(law: Law, stem: str, t: float, mu: float, error: float) -> dict[str, Any]:
-    """Numbers of both interfaces: the percentile by a law, the largest twice that."""
+    """Numbers of both interfaces: the percentile by a law, and twice that as maximum."""
     interfaces: dict[str, Any] = {}
     for place in ("cement_bone", "stem_cement"):
         interfaces[place] = {"area": 100.0}

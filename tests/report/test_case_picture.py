@@ -1,4 +1,4 @@
-"""The picture of a case: where its arrows point, what it says, and that no labels collide."""
+"""The picture of a case: places of arrows, texts, and labels without overlap."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CASES = {
 
 @pytest.fixture
 def made(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """The figures that a test makes."""
+    """The figures of a test."""
     made_figures: list[Any] = []
     new = figures.new
 
@@ -68,7 +68,7 @@ def test_case_picture_labels_do_not_overlap(name: str, tmp_path: Path, made: lis
 
 
 def test_case_picture_long_title_and_legend_fit(tmp_path: Path, made: list[Any]) -> None:
-    """A title of many lines is inside the picture; a legend of six lines covers no axis."""
+    """A title of many lines is inside the picture. A legend of six lines covers no axis."""
     case = load(
         support.CONFIGS / "blocks.yaml", ["mesh.size=4mm", f"title={'many words of a title ' * 20}"]
     ).config

@@ -1,4 +1,4 @@
-"""The page that puts runs side by side."""
+"""The page that compares runs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def cells(html: str, anchor: str, table: int = 0) -> list[list[str]]:
 
 
 def test_compare_page_lists_differences(stems: tuple[Run, Run], tmp_path: Path) -> None:
-    """The changed key alone, and numbers of both with what the second has more."""
+    """The page has the changed key alone, and numbers of both runs with their differences."""
     folders = [run.folder for run in stems]
     html = compare.write(folders, tmp_path / "new" / "page.html").read_text(encoding="utf-8")
     assert cells(html, "input") == [[FRICTION, "0.4", "0.9"]]
@@ -54,7 +54,7 @@ def test_compare_page_lists_differences(stems: tuple[Run, Run], tmp_path: Path) 
 
 
 def test_compare_equal_runs_have_no_difference(stems: tuple[Run, Run], tmp_path: Path) -> None:
-    """Neither in input nor in numbers."""
+    """Neither input nor numbers differ."""
     copy = shutil.copytree(stems[0].folder, tmp_path / "copy")
     html = compare.write([stems[0].folder, copy], tmp_path / "same.html").read_text("utf-8")
     assert re.search(r"0 of \d+ numbers without errors differ", html)
@@ -63,7 +63,7 @@ def test_compare_equal_runs_have_no_difference(stems: tuple[Run, Run], tmp_path:
 
 
 def test_compare_refuses_folders_without_results(tmp_path: Path) -> None:
-    """Each of them; one run alone cannot be compared."""
+    """The message names each folder. One run alone cannot be compared."""
     with pytest.raises(InputError) as caught:
         compare.write([tmp_path / "a", tmp_path / "b"], tmp_path / "page.html")
     assert str(caught.value).count("summary.json") == 2
@@ -75,7 +75,7 @@ def test_compare_refuses_folders_without_results(tmp_path: Path) -> None:
 
 
 def test_compare_refuses_runs_without_a_common_number(tmp_path: Path) -> None:
-    """A run of one interface and a run of another one."""
+    """One run has one interface, the other another."""
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
         numbers = {"status": "converged", "time": 1.0, "interfaces": {name: {"slip_p99": 0.1}}}

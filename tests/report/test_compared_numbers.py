@@ -1,4 +1,4 @@
-"""Numbers of several runs beside each other."""
+"""Numbers of several runs, compared."""
 
 from __future__ import annotations
 
@@ -30,12 +30,15 @@ def run(folder: Path, **sections: object) -> SweptCase:
 def test_compared_numbers_differ_beyond_both_errors(
     first: Number, second: Number, expected: bool
 ) -> None:
-    """The sum of both errors decides; without errors any difference that is shown."""
+    """The limit is the sum of both errors. Without errors any visible difference counts."""
     assert compared_numbers.differs(first, second, 0.1) == expected
 
 
 def test_compared_numbers_are_ordered_by_significance(tmp_path: Path) -> None:
-    """Difference over the sum of errors; then those without errors; then those that are equal."""
+    """Numbers are ordered by difference over the sum of errors.
+
+    Those without errors follow, then equal ones.
+    """
     numbers = {
         "slip_p99": (0.100, 0.130, 0.01),  # 1.5 errors
         "gap_p99": (0.010, 0.020, 0.001),  # 5 errors
@@ -68,7 +71,7 @@ def test_compared_numbers_are_ordered_by_significance(tmp_path: Path) -> None:
 
 
 def test_compared_numbers_are_of_every_section(tmp_path: Path) -> None:
-    """Parts of interfaces, vectors, strains, temperatures, Gruen zones; not costs."""
+    """Sections are parts of interfaces, vectors, strains, temperatures, Gruen zones; not costs."""
     sections = {
         "interfaces": {"stem_cement": {"force": [1.0, 2.0, 3.0], "rim": {"slip_p99": 0.2}}},
         "regions": {"cement": {"volume_over_5_MPa": 3.0}},

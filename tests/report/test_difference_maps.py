@@ -27,8 +27,8 @@ def coarse(stems: tuple[Run, Run], tmp_path_factory: pytest.TempPathFactory) -> 
     return Run(folder)
 
 
-def test_difference_map_interpolation_is_exact_for_linear_values() -> None:
-    """On two triangles of a square, whichever way they are turned; nan outside, off the surface."""
+def test_difference_maps_interpolation_is_exact_for_linear_values() -> None:
+    """Two triangles of a square have either diagonal. Values off the surface are nan."""
     corners = np.array([[[0, 0], [2, 0], [0, 4]], [[2, 0], [0, 4], [2, 4]]], dtype=float)
     surface = Interpolation(corners, 3 * corners[..., 0] - corners[..., 1] + 5)
     places = np.array([[0.5, 0.5], [1.5, 3.0], [1.0, 2.0]])
@@ -40,7 +40,7 @@ def test_difference_map_interpolation_is_exact_for_linear_values() -> None:
 def test_difference_maps_of_other_meshes(
     stems: tuple[Run, Run], coarse: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Fields that are linear in the height have the difference of both lines, on each mesh."""
+    """Fields linear in the height have the difference of both lines, on each mesh."""
     lines = {coarse.folder: (2.0, 7.0), stems[0].folder: (0.5, 1.0)}
 
     def line(run: Run, _: str) -> np.ndarray:
@@ -66,7 +66,7 @@ def test_difference_maps_of_other_meshes(
 
 
 def test_difference_maps_are_drawn(stems: tuple[Run, Run], coarse: Run, tmp_path: Path) -> None:
-    """A picture for each interface, on other meshes too; a reason where there is none."""
+    """Each interface has a picture, on other meshes too. Otherwise there is a reason."""
     cases = [(run.folder.name, SweptCase(run.folder.name, run.folder, CONVERGED)) for run in stems]
     other = ("coarse", SweptCase("coarse", coarse.folder, CONVERGED))
     drawn, missing = difference_maps.draw([*cases, other], tmp_path)

@@ -15,7 +15,7 @@ from app.results.reading import Run
 
 
 def test_motion_gif_has_a_picture_of_each_step(moving: Run, tmp_path: Path) -> None:
-    """Eight pictures in two seconds, of one size; slip grows from picture to picture."""
+    """Eight pictures of equal size take two seconds. Slip grows from picture to picture."""
     path = motion.write(moving.folder, tmp_path / "films" / "slip.gif")
     with Image.open(path) as film:
         assert (film.n_frames, film.info["duration"], film.info["loop"]) == (8, 250, 0)

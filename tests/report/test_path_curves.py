@@ -28,7 +28,7 @@ output:
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """The bar, and a softer one whose path ends inside."""
+    """The bar, and a softer one with a path that ends inside."""
     folder = tmp_path_factory.mktemp("bars")
     (folder / "case.yaml").write_text(BAR)
     softer = {"regions.bar.youngs_modulus": "50 MPa", "output.paths.through.end": "[2, 2, 5] mm"}
@@ -38,7 +38,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 def test_path_curves_draw_the_ends_of_stages(runs: list[Path]) -> None:
-    """In units of pages, with a gap where the path is outside."""
+    """Units are those of the page, with a gap where the path is outside."""
     case = SweptCase("hard", runs[0], CONVERGED)
     shown = path_curves.panels(case.paths["through"], path_curves.stages_of(case))
     assert [(panel.title, panel.y) for panel in shown] == [
@@ -61,7 +61,7 @@ def test_path_curves_are_on_the_page(runs: list[Path]) -> None:
 
 
 def test_path_curves_of_runs_are_over_each_other(runs: list[Path], tmp_path: Path) -> None:
-    """And the keys that differ, and paths of one run alone."""
+    """The page also has the keys that differ, and paths of one run alone."""
     other = shutil.copytree(runs[1], tmp_path / "soft")
     shutil.copy(other / "path_through.csv", other / "path_alone.csv")
     html = compare.write([runs[0], other], tmp_path / "both.html").read_text(encoding="utf-8")
@@ -72,7 +72,7 @@ def test_path_curves_of_runs_are_over_each_other(runs: list[Path], tmp_path: Pat
 
 
 def test_path_curves_over_time_draw_some_moments() -> None:
-    """Of one stage with time: five moments, named by their seconds."""
+    """A stage with time has five moments, named by their seconds."""
     steps = np.repeat(np.arange(1, 21), 3)
     table = {
         "step": steps,

@@ -1,4 +1,4 @@
-"""The page of `mantle place`: in a real browser its numbers are those of ``mantle check``."""
+"""The page of `mantle place`: a real browser shows the numbers of ``mantle check``."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[OperatedHip, Path
 
 
 def drawn(number: int) -> list[dict[str, float]]:
-    """Positions in mm and degrees."""
+    """Random positions in mm and degrees."""
     rng = np.random.default_rng(7)
     low, high = np.array([[-3, -3, -3, -20, -4, -4], [12, 3, 3, 20, 4, 4]])
     keys = ("depth", "varus", "flexion", "version", "medial", "anterior")
@@ -81,7 +81,7 @@ def drawn(number: int) -> list[dict[str, float]]:
 
 
 def expected(geometry: OperatedHip, numbers: dict[str, float]) -> list[float]:
-    """Least room and the head's centre as ``mantle check --mesh`` computes them [mm]."""
+    """Least room and the head's centre by ``mantle check --mesh`` [mm]."""
     angles = {key: float(np.radians(numbers[key])) for key in ("varus", "flexion", "version")}
     at = Position(
         numbers["depth"], **angles, medial=numbers["medial"], anterior=numbers["anterior"]
@@ -179,7 +179,7 @@ def tried(page: Path, test: str) -> dict[str, Any]:
 
 @pytest.mark.skipif(not NEEDED, reason="libjs-three is missing")
 def test_placement_page_is_one_small_file(written: tuple[OperatedHip, Path]) -> None:
-    """No reference to a file or a server; the licence of three.js is in it."""
+    """The page refers to no file and no server, and contains the licence of three.js."""
     text = written[1].read_text(encoding="utf-8")
     assert len(text.encode()) < MOST_BYTES
     outside_scripts = re.sub(r"<script>.*?</script>", "", text, flags=re.S)
@@ -193,7 +193,7 @@ def test_placement_page_is_one_small_file(written: tuple[OperatedHip, Path]) -> 
 def test_placement_page_numbers_equal_those_of_check(
     written: tuple[OperatedHip, Path], tmp_path: Path
 ) -> None:
-    """At drawn positions to 0.01 mm; its buttons, and its YAML, which a case accepts."""
+    """Random positions agree to 0.01 mm. Buttons work, and a case accepts the page's YAML."""
     geometry, page = written
     positions = drawn(6)
     shown = tried(page, TRY.replace("POSITIONS", json.dumps(positions)))
@@ -219,7 +219,10 @@ def test_placement_page_numbers_equal_those_of_check(
 @pytest.mark.slow
 @pytest.mark.skipif(not (BROWSER and NEEDED), reason="no browser or no libjs-three")
 def test_placement_page_best_never_has_less_room(tmp_path: Path) -> None:
-    """From the position of the case at any depth; where it gains nothing it says so."""
+    """The search starts from the position of the case at any depth.
+
+    The page reports a search without gain.
+    """
     assert main(["place", "stance", "-o", str(tmp_path / "place.html")]) == 0
     for depth, before, after, words in tried(tmp_path / "place.html", TRY_STANCE)["found"]:
         assert after >= before, depth
@@ -233,7 +236,7 @@ def test_placement_page_best_never_has_less_room(tmp_path: Path) -> None:
 def test_placement_page_of_a_cad_stem_shows_the_numbers_of_check(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Both to 0.1 mm and 0.1 degrees; check prints room to 0.01 mm, the head to 0.1."""
+    """Both agree to 0.1 mm and 0.1 degrees. Check prints room to 0.01 mm, the head to 0.1."""
     cad_stems.write("short", tmp_path)
     source = tmp_path / "hip.yaml"
     source.write_text(CAD_CASE)
@@ -254,7 +257,7 @@ def test_placement_page_of_a_cad_stem_shows_the_numbers_of_check(
 
 
 def test_placement_page_offers_other_stems_with_unit_and_collar(tmp_path: Path) -> None:
-    """A part of a case with another stem has what its own stem has."""
+    """A case with another stem gets the values of that stem."""
     for name in ("short", "exeter"):
         cad_stems.write(name, tmp_path)
     stem = {

@@ -1,4 +1,4 @@
-"""``report.html`` of a run: its sentence, its numbers, and that it needs nothing else."""
+"""``report.html`` of a run: its first sentence, its numbers, no external files."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ COARSE = {"mesh.size": "4 mm", "mesh.far_size": "6 mm", "mesh.order": 1}
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of cylinders, with a title that is no text for a page."""
+    """A run of cylinders whose title contains HTML."""
     out = tmp_path_factory.mktemp("run") / "out"
     title = "<script>alert(1)</script> & stem"
     mantle.run(mantle.load(CONFIGS / "cylinders.yaml", **COARSE, title=title), out)
@@ -94,7 +94,7 @@ def test_run_report_numbers_equal_the_summary(done: Path) -> None:
 def test_run_report_command_draws_maps_and_files(
     done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """On a copy: nothing but the folder is needed."""
+    """A copy of the folder suffices for the report."""
     copy = tmp_path / "elsewhere"
     shutil.copytree(done, copy)
     (copy / "report.html").unlink()
@@ -107,7 +107,7 @@ def test_run_report_command_draws_maps_and_files(
 
 
 def test_run_report_can_be_switched_off(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """And one that fails is a warning."""
+    """A report that fails is a warning."""
     case = mantle.load(CONFIGS / "blocks.yaml", **{**COARSE, "output.report": False})
     mantle.run(case, tmp_path / "out")
     assert not (tmp_path / "out" / "report.html").exists()
@@ -118,7 +118,7 @@ def test_run_report_can_be_switched_off(tmp_path: Path, caplog: pytest.LogCaptur
 def test_run_report_without_3d_view_gives_the_reason(
     done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And its units are printed as people write them."""
+    """Units have their usual spelling."""
 
     def broken(folders: dict[str, Path]) -> str:
         raise IndexError("no <such> cell")
@@ -167,7 +167,7 @@ FRICTION = "interfaces.stem_cement.friction_coefficient"
 
 
 def samples(run: Path, folder: Path, number: int = 20, thickness: str = "4.0 mm") -> Path:
-    """A sweep: slip is 2, 4, ... um with the modulus of bone, the gap falls with friction."""
+    """A sweep: slip is 2, 4, ... um with the modulus of bone, and the gap falls with friction."""
     rows: list[dict[str, Any]] = []
     for k, other in ((k, 7 * k % 20) for k in range(number)):  # orders without relation
         case, numbers, sample = (
@@ -214,27 +214,6 @@ def test_run_report_failure_begins_with_its_cause(done: Path, tmp_path: Path) ->
     assert '<span class="bad">not converged</span>' in html and "tried: plain Newton" in html
 
 
-def test_step_curves_begin_at_rest() -> None:
-    """Lengths vanish without loads; fractions and histories in seconds have no such point."""
-    titles = ("time [-]", "a slip_p99 [mm]", "a open_fraction [-]", "seconds [s]")
-    columns = {title: np.array([0.5, 1.0]) for title in titles[:3]}
-    panels = step_curves.over_time(columns, at_rest=True)
-    assert [panel.lines[0].x for panel in panels] == [[0.0, 0.5, 1.0], [0.5, 1.0]]
-    assert panels[0].lines[0].y == [0.0, 500.0, 1000.0]
-    assert curves.drawing(panels[1]).across[0] == (0.0, "0")
-    columns["seconds [s]"] = np.array([2.0, 3.0])
-    assert step_curves.over_time(columns, at_rest=True)[0].lines[0].x == [2.0, 3.0]
-
-
-def test_curves_drawing_wraps_title_and_starts_at_zero() -> None:
-    line = curves.Line("a", 0, [1.0, 2.0], [98.0, 99.0])
-    drawn = curves.drawing(curves.Panel("word " * 15, "MPa", [line]))
-    assert len(drawn.title) == 2 and max(map(len, drawn.title)) <= curves.TITLE
-    assert drawn.up[0] == (0.0, "0") and drawn.across[0] == (0.0, "1")
-    warm = curves.drawing(curves.Panel("temperature", "°C", [line]))
-    assert float(warm.up[0][1]) > 90
-
-
 def test_run_report_draws_all_cycles_after_cooling() -> None:
     written = {"time [-]": [1, 1.5, 2], "seconds [s]": [9] * 3, "stem subsidence [mm]": [1, 2, 3]}
     columns = {key: np.array(values) for key, values in written.items()}
@@ -243,7 +222,10 @@ def test_run_report_draws_all_cycles_after_cooling() -> None:
 
 
 def test_run_report_necrosis_has_a_spread(tmp_path: Path) -> None:
-    """Of 0, 2 .. 18 mm3 5 and 95 % are 0.9 and 17.1; ranks leave 9 of 82.5 within the kinetics."""
+    """Of 0, 2 .. 18 mm3 the 5 and 95 % are 0.9 and 17.1.
+
+    Groups by kinetics leave 9 of 82.5 of the variance of ranks.
+    """
     key, of = "necrosis_47C_1min_volume", {"regions.cement.kinetics": [*"aaabbbcccc"]}
     numbers = [{f"bone.{key}": 2.0 * k} for k in range(10)]
     samples = [SweptCase("", tmp_path, CONVERGED, numbers=of_sample) for of_sample in numbers]
@@ -345,43 +327,6 @@ def test_run_report_of_heat_and_mechanics(tmp_path: Path) -> None:
     assert (cured.value, cured.caption) == ("99.9", "least degree of cure of cement")
 
 
-@pytest.mark.parametrize(
-    ("numbers", "value", "error", "detail"),
-    [
-        ({"slip_p99": 0.0271, "slip_p99_error": 0.03}, "27.1", "± 30.0 µm (not resolved)",
-         "99 % of the surface slips less. It stays closed."),
-        ({"slip_p99": 0.002, "gap_p99": 0.0082, "gap_p99_error": 0.0095, "rim": {}}, "2.0", "",
-         "99 % of the surface without rim and tip slips less. 99 % is open by less than "
-         "8.2 ± 9.5 µm (not resolved)."),
-        ({"slip_p99": 0.002, "area_gap_over_30um": 1200, "area": 3000}, "2.0", "",
-         "99 % of the surface slips less. Open by more than 30 µm: 1,200 of 3,000 mm²."),
-        ({"slip_p99": 1e-6}, "0", "", ""),
-        ({"slip_p99": 0.1, "gap_p99": 0.2, "open_fraction": 1.0}, "200.0", "",
-         "99 % of the surface is closer. The sides touch nowhere."),
-    ],
-)  # fmt: skip
-def test_lead_has_slip_and_opening(
-    numbers: dict[str, Any], value: str, error: str, detail: str
-) -> None:
-    (number,) = lead.large_numbers({"interfaces": {"stem_cement": numbers}})
-    assert (number.value, number.error, number.detail) == (value, error, detail)
-
-
-def test_lead_takes_a_number_of_each_group() -> None:
-    """Of contact, stem and heat the first, in this order; a second one only if there is room."""
-    slip = {"slip_p99": 0.01}
-    numbers: dict[str, Any] = {
-        "interfaces": {"stem_cement": slip, "cement_bone": slip},
-        "stem": {"subsidence": 0.02},
-    }
-    captions = [number.caption for number in lead.large_numbers(numbers)]
-    both = ["slip of the stem in its cement", "slip of the cement on the bone"]
-    assert captions == [*both, "subsidence of the stem"]
-    numbers["thermal"] = {"regions": {"rod": {"temperature_max": 60.0}}}
-    captions = [number.caption for number in lead.large_numbers(numbers)]
-    assert captions == [both[0], "subsidence of the stem", "highest temperature of rod"]
-
-
 def test_run_report_of_heat_alone(tmp_path: Path) -> None:
     stages = [{"name": "hot", "duration": "20 s"}]
     rings = mantle.load(CONFIGS / "thermal_rings.yaml", **COARSE, stages=stages)
@@ -427,7 +372,7 @@ def test_run_report_ticks_are_round(ends: tuple[float, float], ticks: list[float
 
 
 def test_run_report_has_landmarks_if_the_files_of_the_case_are_there(tmp_path: Path) -> None:
-    """The picture of the case needs its files once, to be drawn."""
+    """The picture of the case needs the files of the case."""
     (tmp_path / "case.yaml").write_text("base: stance")
     (landmarks,) = run_report._landmarks(tmp_path)
     assert isinstance(landmarks, Bullets)

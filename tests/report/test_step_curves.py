@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from app.plots import curves
 from app.report import step_curves
 from tests import support
 
@@ -16,7 +17,10 @@ stages: [{name: rise}, {name: gait, cycles: 2, increments: 20}]
 
 
 def test_step_curves_draw_forces_against_seconds_of_the_cycle() -> None:
-    """Two strides of 1.1 s, from peak to peak: 247 % of 750 N, and 14 % of it in the swing."""
+    """Two strides of 1.1 s are drawn from peak to peak.
+
+    The peak is 247 % of 750 N, the swing has 14 % of it.
+    """
     times = np.array([0.5, 1.0, *np.linspace(1, 2, 41)[1:]])
     (panel,) = step_curves.forces(support.case(GAIT), {step_curves.TIME: times})
     hip = panel.lines[0]
@@ -40,3 +44,15 @@ def test_step_curves_draw_forces_over_stages_that_change_them() -> None:
     )
     alone = support.case("base: stance\n")
     assert step_curves.forces(alone, {step_curves.TIME: np.array([0.5, 1.0])}) == []
+
+
+def test_step_curves_begin_at_rest() -> None:
+    """Lengths vanish without loads. Fractions and histories in seconds have no such point."""
+    titles = ("time [-]", "a slip_p99 [mm]", "a open_fraction [-]", "seconds [s]")
+    columns = {title: np.array([0.5, 1.0]) for title in titles[:3]}
+    panels = step_curves.over_time(columns, at_rest=True)
+    assert [panel.lines[0].x for panel in panels] == [[0.0, 0.5, 1.0], [0.5, 1.0]]
+    assert panels[0].lines[0].y == [0.0, 500.0, 1000.0]
+    assert curves.drawing(panels[1]).across[0] == (0.0, "0")
+    columns["seconds [s]"] = np.array([2.0, 3.0])
+    assert step_curves.over_time(columns, at_rest=True)[0].lines[0].x == [2.0, 3.0]

@@ -1,4 +1,4 @@
-"""The view in three dimensions: what is packed, a real browser that draws it, and stills."""
+"""The view in three dimensions: its packed data, a real browser that draws it, stills."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def unpacked(data: bytes, at: int, n: int) -> Floats:
 
 
 def shown(head: dict[str, Any], data: bytes) -> Shown:
-    """Fields of the page, the stage, and values; nan where there is none."""
+    """Fields of the page, the stage, and values, with nan for missing ones."""
     for field in head["fields"]:
         for stage, step in zip(head["stages"], field["steps"], strict=True):
             parts = unpacked(data, step["at"], head["points"]["n"])
@@ -42,14 +42,17 @@ def shown(head: dict[str, Any], data: bytes) -> Shown:
 
 
 def size(run: Run, name: str, stage: str) -> Floats:
-    """A field of the files in the units of the page, of vectors the length."""
+    """A field of the files in the units of the page; the length of vectors."""
     factor = 1e3 if name.split("_")[-1] in ("slip", "gap", "motion") else 1.0
     values = run.on_points(name, stage)
     return factor * (np.linalg.norm(values, axis=1) if values.ndim == 2 else values)
 
 
 def test_viewer_values_equal_those_of_files(run: Run) -> None:
-    """To a part in 65534 of their range, after every stage; nothing away from interfaces."""
+    """Values agree to a part in 65534 of their range, after every stage.
+
+    Places away from interfaces have none.
+    """
     head, data = viewer.packed(run)
     assert head["stages"] == ["half", "whole"]
     n = head["points"]["n"]
@@ -71,7 +74,7 @@ def test_viewer_values_equal_those_of_files(run: Run) -> None:
 
 
 def test_viewer_differences_equal_those_of_files(stems: tuple[Run, Run]) -> None:
-    """Where meshes are the same; their values are the second's less the first's."""
+    """Differences are drawn only on equal meshes."""
     run, rough = stems
     assert viewer.same_mesh(run, rough)
     head, data = viewer.packed(rough, run)
@@ -87,7 +90,7 @@ def test_viewer_differences_equal_those_of_files(stems: tuple[Run, Run]) -> None
 
 
 def test_viewer_surfaces_are_closed_and_oriented(run: Run) -> None:
-    """The volume inside each is that of its cells, which are curved: to the second order."""
+    """The volume inside each surface is that of its curved cells, at second order."""
     for name, triangles in viewer.outsides(run, False).items():
         x = run.points[triangles]
         inside = np.einsum("ti,ti->t", np.cross(x[:, 0], x[:, 1]), x[:, 2]).sum() / 6
@@ -97,7 +100,7 @@ def test_viewer_surfaces_are_closed_and_oriented(run: Run) -> None:
 
 
 def test_viewer_reduces_points_of_large_pages(run: Run) -> None:
-    """Corners alone, then the last stages alone."""
+    """The page keeps corners alone, then the last stages alone."""
     whole, data = viewer.packed(run)
     head, less = viewer.packed(run, most_bytes=len(data) // 2)
     assert head["points"]["n"] < whole["points"]["n"]
@@ -107,7 +110,7 @@ def test_viewer_reduces_points_of_large_pages(run: Run) -> None:
 
 @pytest.mark.skipif(not NEEDED, reason="libjs-three is missing")
 def test_viewer_has_no_external_references(run: Run, tmp_path: Path) -> None:
-    """No reference to a file or a server that a browser would follow; few lines of the program."""
+    """A browser would follow no reference to a file or a server. The program has few lines."""
     text = viewer.viewer({"": run.folder})
     assert not re.search(
         r"<[a-z]+[^>]*\s(src|href)=", re.sub(r"<script>.*?</script>", "", text, flags=re.S)
@@ -120,7 +123,7 @@ def test_viewer_has_no_external_references(run: Run, tmp_path: Path) -> None:
 
 
 def test_viewer_names_of_runs_are_distinct() -> None:
-    """By as much of their paths as it takes."""
+    """Names have as much of the paths as they need."""
     assert viewer.distinct([Path("/a/b"), Path("/a/c")]) == ["b", "c"]
     assert viewer.distinct([Path("/a/x/out"), Path("/a/y/out")]) == ["x/out", "y/out"]
     assert viewer.distinct([Path("/a/b"), Path("/a/b")]) == ["//a/b (1)", "//a/b (2)"]
@@ -225,7 +228,10 @@ def tried(page: Path, text: str, script: str = TRY) -> dict[str, Any]:
 @pytest.mark.slow
 @pytest.mark.skipif(not (BROWSER and NEEDED), reason="no browser or no libjs-three")
 def test_viewer_browser_draws_runs_and_difference(stems: tuple[Run, Run], tmp_path: Path) -> None:
-    """In headless Chromium without a network: no error, one camera, values linear on the facets."""
+    """Headless Chromium has no network.
+
+    There is no error, one camera, and values linear on the facets.
+    """
     folders = {run.folder.name: run.folder for run in stems}
     shown = tried(tmp_path / "page.html", viewer.viewer(folders))
     assert len(shown["colours"]) == 3 and min(shown["colours"]) > 20  # drawn, and shaded
@@ -274,7 +280,7 @@ def test_viewer_browser_draws_runs_and_difference(stems: tuple[Run, Run], tmp_pa
 
 
 def value_near(x: Floats, triangles: Floats, values: Floats, place: Floats) -> float:
-    """Value on the nearest of triangles, linear on it."""
+    """Value on the nearest of the triangles, linear on it."""
     a, b, c = (x[triangles[:, k]] for k in range(3))
     edges = np.stack([b - a, c - a], axis=1)
     gram = np.einsum("tki,tli->tkl", edges, edges)
@@ -306,7 +312,10 @@ def test_viewer_interfaces_are_drawn_on_the_inner_body(run: Run, tmp_path: Path)
 
 
 def test_viewer_motion_has_the_steps_between_stages(moving: Run) -> None:
-    """In order, with displacement and slip alone; fewer where bytes are few."""
+    """Steps are in order, with displacement and slip alone.
+
+    A small limit of bytes reduces their number.
+    """
     head, data = viewer.packed(moving, motion_bytes=viewer.MOTION)
     assert head["ends"] == ["half", "whole"] and head["recorded"] == 8
     assert head["stages"][4] == "half" and head["stages"][-1] == "whole"
@@ -329,7 +338,7 @@ def test_viewer_motion_has_the_steps_between_stages(moving: Run) -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(not (BROWSER and NEEDED), reason="no browser or no libjs-three")
 def test_viewer_browser_plays_the_steps(moving: Run, tmp_path: Path) -> None:
-    """Slider and button in headless Chromium: values of each step, colours of all steps."""
+    """Slider and button in headless Chromium show each step, with colours for all steps."""
     shown = tried(tmp_path / "page.html", viewer.viewer({"": moving.folder}), MOTION)
     triangles = viewer.outsides(moving, True)
     picked = 0

@@ -87,7 +87,10 @@ def test_closing_lines_mark_numbers_that_are_not_resolved_with_a_star() -> None:
 
 
 def test_closing_lines_name_a_stem_only_where_there_is_one() -> None:
-    """Two boxes, bone and implant by their materials; numbers that round to zero have no sign."""
+    """Two boxes are bone and implant by their materials.
+
+    Numbers that round to zero have no sign.
+    """
     motion = {"subsidence": -1e-6, "retroversion": -1e-5, "varus": 0.009}
     boxes = {"interfaces": {"joint": {}}, "regions": {"lower": {}, "upper": {}}, "stem": motion}
     (line,) = closing_lines.headline(boxes)

@@ -1,4 +1,4 @@
-"""Cycles of load: a sliding block on a spring has permanent and inducible motions by hand."""
+"""Cycles of load: permanent and inducible motions of a sliding block on a spring, by hand."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ output: {{fields: false, report: false}}
 
 @pytest.mark.parametrize(("pull", "way"), [(0.1, "stays"), (0.035, "vanishes")])
 def test_cycles_of_a_block_on_a_spring(pull: float, way: str, tmp_path: Path) -> None:
-    """It slides back in every valley if what is taken off exceeds friction twice."""
+    """The block slides back in every valley if the removed load exceeds friction twice."""
     valley, τ = 0.1, FRICTION * PRESS
     results = support.run(
         CASE,
@@ -84,7 +84,7 @@ def test_cycles_trends() -> None:
     ],
 )
 def test_cycles_dissipation_is_first_last_and_ratio(per_cycle: list[float], text: str) -> None:
-    """Not a number for each of a thousand cycles, and no trend of one cycle."""
+    """The summary has no number for each of a thousand cycles, and no trend of one cycle."""
     numbers = StageCycles(dissipation=per_cycle, trend=trend(25.0, per_cycle))
     (line,) = sentences({"walking": numbers})
     assert line.startswith(f"walking: dissipation {text}")

@@ -59,7 +59,7 @@ def test_damage_unbonded_patches_depend_on_the_seed_alone() -> None:
 
 
 def law(text: str) -> Cohesive:
-    """The law of a stem in cement, by a text."""
+    """The law of a stem in cement by a text."""
     interface = support.case("base: stance", f"interfaces.stem_cement={text}").interfaces[
         "stem_cement"
     ]

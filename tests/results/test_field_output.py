@@ -1,4 +1,4 @@
-"""The grid of the field file: bodies with separate nodes, and the values there."""
+"""The grid of the field file: bodies with separate nodes, and their values."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ H = 0.3  # N/(mm s K): 300 W/(m2 K)
 
 
 class Motion:
-    """Stands for the mechanics: a second-order space in which nothing parts."""
+    """Replaces the mechanics: a second-order space in which nothing parts."""
 
     def __init__(self, tagged: TaggedMesh) -> None:
         self.bodies: Bodies = bodies_of(tagged, (), ())
@@ -46,7 +46,7 @@ class Motion:
 
 
 def heat(tagged: TaggedMesh, resists: bool) -> HeatFields:
-    """Bone at 40 + 4 z + y degC; cement colder by 10 + x where the interface resists heat."""
+    """Bone at 40 + 4 z + y degC. Cement is colder by 10 + x if the interface resists heat."""
     contact = laws.interface("bone_cement", ("cement",), ("bone",), (H, 0.0, np.inf))
     conductors = tuple(laws.conductor(r, (1.0,), None, 2.0, ZERO + 37) for r in ("bone", "cement"))
     scene = Scene(
@@ -78,7 +78,7 @@ def heat(tagged: TaggedMesh, resists: bool) -> HeatFields:
 
 
 def written(tagged: TaggedMesh, groups: tuple[FieldGroup, ...], path: Path) -> Run:
-    """Fields read back from one step; the same on all ranks."""
+    """Fields read back from one step, equal on all ranks."""
     fields = Fields(tagged, groups, path)
     fields.open()
     fields.write(1.0, None)
@@ -117,7 +117,7 @@ def check_heat_alone(comm: MPI.Comm, path: Path) -> None:
 
 
 def check_both(comm: MPI.Comm, path: Path) -> None:
-    """Bonded mechanics of second order over heat that jumps, and over heat that does not."""
+    """Bonded mechanics of second order with heat that jumps, and with heat that does not."""
     tagged = two_blocks(comm)
     for resists in (True, False):
         run = written(tagged, (Motion(tagged), heat(tagged, resists)), path)

@@ -80,7 +80,7 @@ GAUGE = """    at_{place}: {{kind: strain_gauge, boundary: x_max, at: "[4, {y}, 
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_gauges_are_exact_for_linear_displacements(order: int, tmp_path: Path) -> None:
-    """Mean of d . strain d and of u at the centre, at every step, with errors of zero."""
+    """Means of d . strain d, and u at the centre, are exact at every step, with errors of zero."""
     results = support.run(LINEAR, tmp_path, f"mesh.order={order}")
     for name, d, x in (
         ("near", [0, 5, 1], [4, 1.4, 2.9]),
@@ -103,7 +103,10 @@ def test_gauges_are_exact_for_linear_displacements(order: int, tmp_path: Path) -
 
 @pytest.mark.parametrize("curved", [False, True])
 def test_gauges_on_round_bodies_measure_a_uniform_strain(curved: bool, tmp_path: Path) -> None:
-    """1e-3 along, -0.3e-3 around, on straight and curved facets, over several regions."""
+    """The strain is 1e-3 along and -0.3e-3 around.
+
+    Facets are straight and curved, over several regions.
+    """
     results = support.run(TUBES, tmp_path, f"mesh.curved={str(curved).lower()}")
     strains = {name: probe["strain"] for name, probe in results.summary["probes"].items()}
     along = np.array(results.summary["probes"]["axial"]["direction"])
@@ -120,9 +123,9 @@ def test_gauges_on_round_bodies_measure_a_uniform_strain(curved: bool, tmp_path:
 def test_gauges_converge_on_a_beam(
     order: int, sizes: tuple[float, ...], least: float, tmp_path: Path
 ) -> None:
-    """The strain is linear along the beam: its mean is that at the centre, 2e-4 (12 - z).
+    """The strain is linear along the beam, so its mean is that at the centre, 2e-4 (12 - z).
 
-    Of the estimated errors at least three quarters contain the true one, as for other numbers.
+    At least three quarters of the estimated errors contain the true one.
     """
     z = np.linspace(2.5, 9.5, 8)
     text = BEAM
@@ -177,7 +180,7 @@ def test_gauges_on_two_ranks_have_equal_numbers(tmp_path: Path) -> None:
 def test_gauges_wrong_keys_are_found_by_check(
     changes: dict[str, object], text: str, tmp_path: Path
 ) -> None:
-    """Before anything is solved."""
+    """Errors come before the solve."""
     (tmp_path / "case.yaml").write_text(LINEAR)
     overrides = {f"output.probes.near.{key}": value for key, value in changes.items()}
     with pytest.raises(InputError, match=text):
@@ -185,7 +188,7 @@ def test_gauges_wrong_keys_are_found_by_check(
 
 
 def test_gauges_faults_have_their_line(tmp_path: Path) -> None:
-    """Where the key stands, in a case that is read from a file."""
+    """The line is that of the key in the file of the case."""
     line = next(k for k, text in enumerate(LINEAR.splitlines(), 1) if "diameter: 2 mm" in text)
     (tmp_path / "case.yaml").write_text(LINEAR.replace("diameter: 2 mm", "diameter: 9 mm"))
     with pytest.raises(InputError, match=rf"case\.yaml:{line}:\d+: output\.probes\.seen\.diameter"):

@@ -75,7 +75,7 @@ def test_necrosis_time_above_a_level() -> None:
 
 
 def test_necrosis_doses_add_up_over_divided_steps() -> None:
-    """Doses add up: one long line is as many short ones."""
+    """One long line has the same dose as many short ones."""
     whole, parts = (Integrals(necrosis.DOSES, 2) for _ in range(2))
     start, end = kelvin(37.0, 70.0), kelvin(58.0, 44.0)
     whole.add(start, end, 90.0)

@@ -17,7 +17,10 @@ def test_over_time_maximum_keeps_value_and_time() -> None:
 
 
 def test_over_time_integrals_along_a_parabola() -> None:
-    """4 t (1 - t) passes 1 above its chord, 0; n chords lose 2 / (3 n^2) of its integral, 2/3."""
+    """The parabola 4 t (1 - t) is 1 above its chord, 0.
+
+    With n chords its integral 2/3 loses 2 / (3 n^2).
+    """
     integrals = Integrals({"mean": lambda a, b, seconds: (a + b) / 2 * seconds}, 1)
     zero = np.zeros(1)
     integrals.add_parabola(zero, zero, np.array([-1.0]), 1.0, 4)
@@ -34,7 +37,10 @@ def test_over_time_peak_between_steps_is_a_vertex() -> None:
 
 
 def test_over_time_bend_is_limited() -> None:
-    """t^2 passes h^2 / 4 below its chord; a sagitta is limited to a quarter of the change."""
+    """The parabola t^2 is h^2 / 4 below its chord.
+
+    The sagitta is at most a quarter of the change.
+    """
     before, start, end = ((t, np.array([t**2])) for t in (1.0, 2.0, 3.0))
     assert sagitta(before, start, end) == pytest.approx(0.25)
     flat = (3.0, np.array([4.4]))

@@ -119,8 +119,8 @@ def places(path: PathTable) -> np.ndarray:
     return np.column_stack([path[f"{axis} [mm]"] for axis in "xyz"])
 
 
-def test_paths_quadratic_displacement_is_exact(tmp_path: Path) -> None:
-    """Bending at second order; stress is linear, and the von Mises stress has a kink."""
+def test_path_tables_quadratic_displacement_is_exact(tmp_path: Path) -> None:
+    """Bending at second order has linear stress, and a von Mises stress with a kink."""
     path = at_end(support.run(BENT, tmp_path), "across")
     x, y, z = places(path).T
     inside = (x >= 0) & (x <= 4)
@@ -141,8 +141,8 @@ def test_paths_quadratic_displacement_is_exact(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_paths_linear_displacement_is_exact(order: int, tmp_path: Path) -> None:
-    """A bar under tension, at the written steps and in all kinds of paths through bodies."""
+def test_path_tables_linear_displacement_is_exact(order: int, tmp_path: Path) -> None:
+    """A bar is under tension. Written steps and all kinds of paths through bodies are exact."""
     results = support.run(BAR, tmp_path, f"mesh.order={order}")
     table = results.paths["up"]
     assert np.unique(table["step"]).tolist() == [1, 2]
@@ -171,7 +171,7 @@ def test_paths_linear_displacement_is_exact(order: int, tmp_path: Path) -> None:
     assert circle["von_mises [MPa]"] == pytest.approx(1, abs=1e-9)
 
 
-def test_paths_stress_jumps_between_bonded_regions(tmp_path: Path) -> None:
+def test_path_tables_stress_jumps_between_bonded_regions(tmp_path: Path) -> None:
     path = at_end(support.run(LAYERS, tmp_path), "up")
     assert path["stress.zz [MPa]"] == pytest.approx(-1, abs=1e-9)
     ratio = np.where(path["region"] == "low", 0.2, 0.4)
@@ -179,8 +179,8 @@ def test_paths_stress_jumps_between_bonded_regions(tmp_path: Path) -> None:
     assert path["stress.xx [MPa]"] == pytest.approx(-ratio / (1 - ratio), abs=1e-9)
 
 
-def test_paths_temperature_through_a_wall_is_exact(tmp_path: Path) -> None:
-    """Linear in each layer; each region has its side of the temperature jump."""
+def test_path_tables_temperature_through_a_wall_is_exact(tmp_path: Path) -> None:
+    """The temperature is linear in each layer. Each region has its side of the jump."""
     results = support.run(WALL_WITH_PATHS, tmp_path)
     flux = 60.0 / (5 / 2.0 + 1 / 0.4 + 3 / 0.5 + 1 / 0.2)  # mW/mm2
     warm, cool = at_end(results, "warm"), at_end(results, "cool")
@@ -191,8 +191,8 @@ def test_paths_temperature_through_a_wall_is_exact(tmp_path: Path) -> None:
     assert cool["temperature [degC]"] == pytest.approx(exact, abs=1e-5)
 
 
-def test_paths_of_a_shrink_fit_follow_lame(tmp_path: Path) -> None:
-    """Pressure around and along the interface, radial and hoop stress through both rings."""
+def test_path_tables_of_a_shrink_fit_follow_lame(tmp_path: Path) -> None:
+    """Pressure is around and along the interface, radial and hoop stress through both rings."""
     results = support.run(FIT, tmp_path)
     a, b, nu = 7.0, 16.0, 0.3
 
@@ -233,8 +233,8 @@ def test_paths_of_a_shrink_fit_follow_lame(tmp_path: Path) -> None:
 
 
 @pytest.mark.parallel
-def test_paths_on_two_ranks_have_equal_numbers(tmp_path: Path) -> None:
-    """Of contact, bodies and heat: every point of every kind of path."""
+def test_path_tables_on_two_ranks_have_equal_numbers(tmp_path: Path) -> None:
+    """Every point of every kind of path has equal numbers of contact, bodies and heat."""
     for name, text in (("fit", FIT), ("bar", BAR), ("wall", WALL_WITH_PATHS)):
         folder = tmp_path / name
         folder.mkdir()
@@ -249,8 +249,8 @@ def test_paths_on_two_ranks_have_equal_numbers(tmp_path: Path) -> None:
                 )
 
 
-def test_paths_continue_after_a_restart(tmp_path: Path) -> None:
-    """Also without field files."""
+def test_path_tables_continue_after_a_restart(tmp_path: Path) -> None:
+    """Runs without field files continue too."""
     changes = {"output.fields": False, "output.checkpoint.steps": 1}
     (tmp_path / "case.yaml").write_text(BAR)
     case = mantle.load(tmp_path / "case.yaml", **changes)
@@ -287,10 +287,10 @@ def test_paths_continue_after_a_restart(tmp_path: Path) -> None:
         ({"ring": {"kind": "side", "interface": "a_b", "side": "medial"}}, "no interface 'a_b'"),
     ],
 )
-def test_paths_wrong_keys_are_found_by_check(
+def test_path_tables_wrong_keys_are_found_by_check(
     changes: dict[str, dict[str, object]], text: str, tmp_path: Path
 ) -> None:
-    """With the line of the file, before anything is solved."""
+    """Errors have the line of the file and come before the solve."""
     (tmp_path / "case.yaml").write_text(BAR)
     name, keys = next(iter(changes.items()))
     if "kind" in keys:
@@ -301,7 +301,7 @@ def test_paths_wrong_keys_are_found_by_check(
         mantle.check(mantle.load(tmp_path / "case.yaml", **overrides))
 
 
-def test_paths_outside_are_noted_with_their_stretch(tmp_path: Path) -> None:
+def test_path_tables_outside_are_noted_with_their_stretch(tmp_path: Path) -> None:
     (tmp_path / "case.yaml").write_text(BAR)
     change = {"output.paths.up.end": "[0.3, 2.2, 9] mm"}
     notes = mantle.check(mantle.load(tmp_path / "case.yaml", **change)).notes
@@ -309,7 +309,7 @@ def test_paths_outside_are_noted_with_their_stretch(tmp_path: Path) -> None:
     assert note.what.startswith("2 of its 7 points are outside every body (7.728 to 9.274 mm")
 
 
-def test_paths_side_needs_a_stem(tmp_path: Path) -> None:
+def test_path_tables_side_needs_a_stem(tmp_path: Path) -> None:
     (tmp_path / "case.yaml").write_text(LAYERS)
     path = {"kind": "side", "interface": "low_high", "side": "medial"}
     case = mantle.load(tmp_path / "case.yaml", **{"output.paths": {"medial": path}})

@@ -1,4 +1,4 @@
-"""Fields of a run on the dolfinx mesh that a script handed over, on one rank and two."""
+"""Fields of a run on the dolfinx mesh of a script, on one rank and two."""
 
 from __future__ import annotations
 

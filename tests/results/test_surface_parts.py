@@ -12,14 +12,16 @@ import pytest
 from hypothesis import given, settings
 
 from app.foundation.arrays import Floats, Ints
-from app.results.interface_numbers import shear_of_faces
+from app.results.interface_numbers import ContactSamples, shear_of_faces
+from app.results.stresses import Stresses
 from app.results.surface_parts import Surface
+from tests import support
 
 Function = Callable[[Floats, Floats], Floats]
 
 
 def grid(n: int, length: float = 1.0, jitter: float = 0.0, cells: int = 0) -> tuple[Floats, Ints]:
-    """Points (m, 3) and triangles of a rectangle with n by `cells` squares, n as a rule."""
+    """Points (m, 3) and triangles of a rectangle of n by `cells` squares; by default n squares."""
     cells = cells or n
     i, j = np.meshgrid(np.arange(n + 1), np.arange(cells + 1), indexing="ij")
     x = np.stack([i * length / n, j / cells, 0.0 * i], axis=-1).reshape(-1, 3)
@@ -31,7 +33,7 @@ def grid(n: int, length: float = 1.0, jitter: float = 0.0, cells: int = 0) -> tu
 
 
 def flat(x: Floats, triangles: Ints) -> Any:
-    """The points of one plane interface, as `ContactSurface` has them."""
+    """The points of one plane interface, in the form of `ContactSurface`."""
     sides = x[triangles[:, 1:]] - x[triangles[:, :1]]
     area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) / 2
     weight = np.bincount(triangles.ravel(), np.repeat(area / 3, 3), len(x))
@@ -53,7 +55,7 @@ def plane(n: int, **borders: Function) -> tuple[Floats, Surface]:
 
 
 def test_surface_parts_are_cut_along_their_border() -> None:
-    """Half-planes of the unit square: areas and means are exact on any mesh."""
+    """Half-planes of the unit square have exact areas and means on any mesh."""
     x, surface = plane(5, tip=lambda x, y: y - 0.37, rim=lambda x, y: x + y - 0.9)
     # Above y = 0.37, the triangle x + y < 0.9 has legs of 0.53.
     area = {"tip": 0.37, "rim": 0.53**2 / 2, "": 0.63 - 0.53**2 / 2}
@@ -79,7 +81,7 @@ def test_surface_parts_areas_add_up() -> None:
 
 
 def test_surface_parts_that_are_rounding_are_left_out() -> None:
-    """The tip of a stem above a void: its border is the end of the surface."""
+    """A stem above a void has no tip on the interface: the border is the end of the surface."""
     _, surface = plane(5, tip=lambda x, y: y - 1e-9, rim=lambda x, y: 0.9 - y)
     assert surface.parts == ["", "rim"]
 
@@ -93,7 +95,7 @@ def test_surface_parts_that_are_rounding_are_left_out() -> None:
 def test_surface_parts_percentile_is_below_the_maximum(
     values: list[int], levels: list[int], fraction: float
 ) -> None:
-    """Of any values, means or recovered, in any part."""
+    """This holds for any values, means or recovered, in any part."""
     x, triangles = grid(3)
     surface = Surface(flat(x, triangles), 0, {"rim": np.array(levels) / 50})
     means = np.repeat(np.array(values)[:, None] / 7, 3, axis=1)
@@ -105,7 +107,7 @@ def test_surface_parts_percentile_is_below_the_maximum(
 
 
 def recovered(x: Floats, triangles: Ints, f: Function) -> tuple[Floats, Floats, Floats]:
-    """Exact values of a function at the points, its means by shape functions, and what is sharp.
+    """Exact values of a function at points, its means by shape functions, recovered values.
 
     Means are by quadrature, exact to rounding for polynomials on parts of a facet of a 24th.
     """
@@ -127,7 +129,7 @@ def recovered(x: Floats, triangles: Ints, f: Function) -> tuple[Floats, Floats, 
 
 
 def test_surface_parts_recovery_keeps_constants_and_signs() -> None:
-    """Where a mean is zero, as at open points, and where it is negative, as in tension."""
+    """Means are zero at open points, and negative in tension."""
     x, triangles = grid(6, jitter=0.2)
     surface = Surface(flat(x, triangles), 0, {})
     assert surface.sharpened(np.full((len(x), 3), 3.7))[:, 0] == pytest.approx(3.7)
@@ -143,7 +145,7 @@ def order(errors: list[float]) -> float:
 
 
 def test_surface_parts_recovery_converges_at_second_order() -> None:
-    """Inside; at the border, where means are one-sided, sharp values gain an order."""
+    """Inside this is the order. At the border means are one-sided, and recovery gains an order."""
     errors: dict[str, list[float]] = {"mean": [], "sharp": [], "mean, edge": [], "sharp, edge": []}
     for n in (8, 16, 32):
         x, triangles = grid(n)
@@ -161,7 +163,7 @@ def test_surface_parts_recovery_converges_at_second_order() -> None:
 
 
 def test_surface_parts_recovery_at_a_ridge() -> None:
-    """A kink of slope s on points at a distance h: means are s h / 3 too low there."""
+    """A kink of slope s on points at a distance h has means that are s h / 3 too low."""
     for n in (8, 16, 32):
         # A strip, so that the shape functions are those of one dimension in the middle.
         x, triangles = grid(n, 1.0, cells=n)
@@ -173,10 +175,10 @@ def test_surface_parts_recovery_at_a_ridge() -> None:
 
 
 def test_surface_parts_recovery_of_a_rounded_punch() -> None:
-    """The pressure rises like a root beside its edge and falls to zero there: no value grows.
+    """The pressure rises like a root at its edge and is zero beyond, so no value grows.
 
-    p = sqrt(1 - x^2) within |x| < 1, as for a cylinder, and zero beyond (Hertz): the largest value
-    and the 95th percentile converge.
+    The pressure is p = sqrt(1 - x^2) within |x| < 1 (Hertz), and zero beyond. The largest value and
+    the 95th percentile converge.
     """
     errors: dict[str, list[float]] = {"mean": [], "sharp": []}
     # Where p exceeds it there lies a twentieth of the area: |x| < 0.05 * 1.5.
@@ -194,7 +196,7 @@ def test_surface_parts_recovery_of_a_rounded_punch() -> None:
 
 
 def test_surface_parts_recovery_skips_held_points() -> None:
-    """A point that supports hold has no reported traction: its zero is no traction of zero."""
+    """A held point has no reported traction, so its zero is left out."""
     x, triangles = grid(6)
     points = flat(x, triangles)
     held = np.isclose(x[:, 0], 0.0)
@@ -207,7 +209,10 @@ def test_surface_parts_recovery_skips_held_points() -> None:
 
 
 def test_surface_parts_faces_of_an_edge_have_separate_means() -> None:
-    """A right angle under one pressure: the force of its edge, over the areas of its faces."""
+    """A right angle is under one pressure.
+
+    The force of its edge is divided by the areas of its faces.
+    """
     x, triangles = grid(4)
     other = x[:, [2, 1, 0]] * [1.0, 1.0, -1.0]
     edge = np.isclose(x[:, 0], 0.0)
@@ -237,7 +242,7 @@ def test_surface_parts_faces_of_an_edge_have_separate_means() -> None:
 
 
 def test_surface_parts_faces_of_an_edge_carry_friction_by_pressure() -> None:
-    """Coulomb's law holds on each face, and the friction forces sum up to that of the point."""
+    """Coulomb's law holds on each face. The friction forces add up to that of the point."""
     areas, μ = np.array([[1.0, 3.0, 0.0], [4.0, 0.0, 0.0]]), 0.4
     pressures = np.array([[0.5, 1.5, 0.0], [0.0, 0.0, 0.0]])  # over 4 mm2
     of_faces = np.array([[2.0, 2.0, 0.0], [0.0, 0.0, 0.0]])
@@ -261,3 +266,79 @@ def test_surface_parts_sliver_has_the_pressure_of_its_point() -> None:
     means = surface.of_faces(pressures)
     assert means[0] == pytest.approx([0.0, 10.0, 0.0])
     assert surface.sharpened(means)[0] == pytest.approx([0.0, 10.0, 0.0])
+
+
+# A block pressed by 1 um on one of 2 mm without Poisson's ratio: 0.05 MPa on 16 mm2.
+PRESSED = """
+geometry: {kind: blocks, blocks: [{name: stem, size: [4 mm, 4 mm, 2 mm]},
+                                  {name: upper, size: [4 mm, 4 mm, 1 mm]}]}
+mesh: {order: 1, size: 0.5 mm, far_size: 1 mm}
+regions: {stem: {youngs_modulus: 100 MPa, poisson_ratio: 0}, upper: {rigid: true}}
+interfaces: {stem_upper: {kind: contact, friction_coefficient: 0}}
+supports: {floor: {kind: fixed, boundary: bottom}, hand: {kind: displacement, boundary: top,
+                                                          x: 0 mm, y: 0 mm, z: -1 um}}
+"""
+# Where y < 1 mm is the tip, and of what is left where x < 1 mm the rim [mm2].
+AREAS = {"tip": 4.0, "rim": 3.0, "": 9.0}
+
+
+@pytest.fixture(scope="module")
+def pressed() -> support.Solved:
+    return support.solve(PRESSED)
+
+
+def divided(solved: support.Solved) -> tuple[Surface, dict[str, Any]]:
+    """The interface in its parts, and its numbers."""
+    contact = solved.problem.contact
+    assert contact is not None
+    x, y, _ = contact.points.surface.x.T
+    surface = Surface(contact.points.surface, 0, {"tip": y - 1.0, "rim": x - 1.0})
+    trial = solved.problem.trial(*solved.solver.u_and_q())  # type: ignore[arg-type]
+    return surface, ContactSamples(solved.problem, trial, None, [surface]).numbers["stem_upper"]
+
+
+def test_surface_parts_add_up_to_the_interface(pressed: support.Solved) -> None:
+    _, numbers = divided(pressed)
+    for part in ("rim", "tip"):
+        area = numbers[part]["area"]
+        assert area == pytest.approx(AREAS[part], rel=1e-12)
+        assert numbers[part]["force"] == pytest.approx([0, 0, 0.05 * area], abs=1e-9)
+    whole = sum(part["area"] for part in (numbers, numbers["rim"], numbers["tip"]))
+    assert whole == pytest.approx(16.0)
+    assert numbers["force"] == pytest.approx([0, 0, 0.05 * 16.0], abs=1e-9)
+
+
+def test_surface_parts_have_separate_statistics(pressed: support.Solved) -> None:
+    """The coordinate x has a mean of 2.5 mm over the rest."""
+    surface, numbers = divided(pressed)
+    x = pressed.last.x[:, 0]
+    for part, mean, most in (("", 2.5, 4.0), ("rim", 0.5, 1.0), ("tip", 2.0, 4.0)):
+        field = surface.field(x, part)
+        assert field.area == pytest.approx(AREAS[part], rel=1e-12)
+        assert field.mean() == pytest.approx(mean, rel=1e-12)
+        assert field.percentile(1.0) == field.maximum()[0]
+        assert field.maximum()[0] == pytest.approx(most)
+    assert min(numbers["gap_max_at"][:2]) >= 1.0 >= numbers["rim"]["gap_max_at"][0]
+
+
+def test_surface_parts_of_an_undivided_interface(pressed: support.Solved) -> None:
+    numbers = pressed.interfaces["stem_upper"]
+    assert numbers["area"] == pytest.approx(16.0) and not {"rim", "tip"} & numbers.keys()
+
+
+def test_surface_parts_neck_is_separate_from_the_stem(
+    pressed: support.Solved, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The tension is z [MPa]. The neck begins at 1 mm, so it has tension above 1 MPa."""
+    stresses = Stresses(pressed.problem, depth=lambda x: 1.0 - x[:, 2])
+    z = stresses.points_and_volumes("stem")[0][:, 2]
+    monkeypatch.setattr(stresses, "evaluate", lambda _: np.multiply.outer(z, np.diag([0, 0, 1.0])))
+    stem = stresses.region("stem")
+    assert (
+        0.5 < stem["von_mises_p99"] <= stem["von_mises_max"] < 1.0 < stem["neck"]["principal_max"]
+    )
+    assert stem["volume"] + stem["neck"]["volume"] == pytest.approx(32.0)
+    assert stem["neck"]["von_mises_max"] == pytest.approx(z.max())
+    assert stem["neck"]["von_mises_max_at"][2] == pytest.approx(z.max())
+    without = Stresses(pressed.problem)
+    assert "neck" not in without.region("stem")

@@ -1,4 +1,4 @@
-"""Verdicts on the numbers of a run: what is good, doubtful and bad."""
+"""Verdicts on the numbers of a run: good, doubtful and bad ones."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def summary(**changes: Any) -> dict[str, Any]:
 
 
 def judged(numbers: dict[str, Any]) -> dict[str, tuple[str, str]]:
-    """Words and severity of each verdict but the first, by the part of the result it judges."""
+    """Words and severity of each verdict but the first, by the part of the result."""
     first, *rest = verdicts.of_numbers(numbers)
     assert first.text.startswith("converged: 974 unknowns") and first.severity is Severity.PLAIN
     return {v.where: (f"{v.what}; {v.remedy}" if v.remedy else v.what, v.severity) for v in rest}
@@ -73,7 +73,7 @@ def test_verdicts_on_singular_pressure() -> None:
 
 @pytest.mark.parametrize(("largest", "mean"), [(0.0, -0.03), (2e-10, 1e-10), (0.004, 0.001)])
 def test_verdicts_on_pressure_that_is_zero(largest: float, mean: float) -> None:
-    """A bond in tension and an unloaded interface have no largest pressure to speak of."""
+    """A bond in tension and an unloaded interface have no meaningful largest pressure."""
     numbers = summary()
     numbers["interfaces"]["stem_cement"] |= {"pressure_max": largest, "pressure_mean_max": mean}
     assert "pressure" not in judged(numbers)
@@ -94,7 +94,10 @@ def test_verdicts_on_bad_results() -> None:
 
 
 def test_verdicts_on_layers_say_their_compression() -> None:
-    """The overlap of an elastic layer follows from its law; one of exact contact is a fault."""
+    """The overlap of an elastic layer follows from its law.
+
+    The overlap of exact contact is a fault.
+    """
     numbers = summary()
     layer = {"penetration_max": 0.024, "penetration_sampled": 0.025, "compression_max": 0.024}
     numbers["interfaces"]["stem_bone"] = layer
@@ -110,7 +113,10 @@ def test_verdicts_on_layers_say_their_compression() -> None:
 
 
 def test_verdicts_on_rim_and_tip() -> None:
-    """The rim's gap is reported; bodies that slip too far there are not to be used."""
+    """The rim's gap is reported.
+
+    Bodies that slip too far at the rim have the verdict 'not to be used'.
+    """
     numbers = summary()
     numbers["interfaces"]["stem_cement"]["rim"] = {"gap_max": 0.074, "slip_max": 5.0}
     lines = judged(numbers)
@@ -162,7 +168,7 @@ def test_verdicts_name_the_three_worst_maxima() -> None:
 
 
 def test_verdicts_on_errors_of_steps_alone() -> None:
-    """The mesh of a file has no coarser one."""
+    """The mesh of a file has no coarser version."""
     error = {"companions": ["mesh 4 mm, 0.5 times the steps"], "sources": "load step"}
     lines = judged(summary(error=error))
     assert "mesh and step" not in lines and verdicts.PEAKS not in lines
@@ -212,7 +218,7 @@ def test_verdicts_on_physiology() -> None:
 
 
 def test_verdicts_on_physiology_allow_cortex_shielded_by_a_stem() -> None:
-    """Beside a stem small strains are usual; strains that are all small are a load too small."""
+    """Small strains next to a stem are usual. If all strains are small, the load is too small."""
     femur = {"head_displacement": [0.0, 0.0, -1.0], "strain_lateral_10": 4e-4}
     loads = [{"force": (0.0, 0.0, -500.0)}]
     intact = femur | {"strain_lateral_80": 2e-3}

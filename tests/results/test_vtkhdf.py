@@ -1,4 +1,4 @@
-"""The field file: what is read back is what was written, whatever happens to the run."""
+"""The field file: values read equal values written, also after interruptions of the run."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def write_cube(path, order):
 
 
 def strip(path):
-    """Triangles on [0, ranks] x [0, 2]: a rank has the column of squares right of x = rank."""
+    """Triangles on [0, ranks] x [0, 2]. A rank has the column of squares right of x = rank."""
     comm = MPI.COMM_WORLD
     points = np.array([[comm.rank + x, y, 0.0] for x in (0, 1) for y in range(3)])
     quads = [(i, 3 + i, 4 + i, i + 1) for i in range(2)]
@@ -82,7 +82,7 @@ def die_in_the_third_step(path):
 
 
 def fill_the_disk(path, reserve):
-    """A limit on the size of a file stands in for a full disk: the same calls fail."""
+    """A limit on the size of a file replaces a full disk, because the same calls fail."""
     file, points = strip(path)
     values = np.repeat(points[:, 0], 3000).reshape(-1, 3000)
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -115,7 +115,7 @@ def ranks(request):
 
 
 def rows(root, kind, name, step):
-    """The rows of a field at a step, as a reader finds them."""
+    """The rows of a field at a step, for a reader."""
     start = root[f"Steps/{kind}Offsets/{name}"][step]
     count = root["NumberOfPoints" if kind == "PointData" else "NumberOfCells"][0]
     return root[f"{kind}/{name}"][start : start + count]
@@ -126,7 +126,8 @@ def offsets_are_zero(root):
     assert (steps["NumberOfParts"][:] == 1).all()
     for name in ("PartOffsets", "PointOffsets", "CellOffsets", "ConnectivityIdOffsets"):
         assert not steps[name][:].any() and len(steps[name]) == steps.attrs["NSteps"]
-    assert steps["CellOffsets"].ndim == steps["ConnectivityIdOffsets"].ndim == 2
+    assert steps["CellOffsets"].ndim == 2
+    assert steps["ConnectivityIdOffsets"].ndim == 2
 
 
 def strips_are_whole(root, steps):
@@ -174,7 +175,7 @@ def test_vtkhdf_steps_are_read_back(tmp_path, ranks, order):
 
 
 def test_vtkhdf_surface_of_arrays(tmp_path, ranks):
-    """Points and cells stand in the order of their keys, on any number of ranks."""
+    """Points and cells are in the order of their keys, on any number of ranks."""
     path = tmp_path / "surface.vtkhdf"
     support.on_ranks(ranks, __file__, "write_strip", path)
     with h5py.File(path) as file:

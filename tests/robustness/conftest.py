@@ -12,7 +12,7 @@ from tests.robustness import faulty
 
 @pytest.fixture(scope="session")
 def warmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A cache in which everything is that the small run needs."""
+    """A cache with everything that the small run needs."""
     folder = tmp_path_factory.mktemp("warm")
     support.python(*faulty.arguments(folder / "out"), XDG_CACHE_HOME=str(folder / "cache"))
     return folder / "cache"

@@ -1,4 +1,4 @@
-"""A small run in an environment where something is wrong."""
+"""A small run in an environment with a fault."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def damage(path: Path, how: str) -> None:
 
 
 def arguments(output: Path, *more: str) -> list[str]:
-    """Of Python, which runs the case."""
+    """Arguments of Python that run the case."""
     return ["-m", "mantle", "run", str(CASE), "-o", str(output), *OPTIONS, *more]
 
 
@@ -46,11 +46,11 @@ def command(output: Path, *more: str) -> list[str]:
 
 
 def start(output: Path, *more: str, session: bool = False, **environ: str) -> subprocess.Popen[str]:
-    """The same, not waited for; with ``session``, leader of a process group."""
+    """Start the run without waiting; with ``session``, as leader of a process group."""
     return support.started(*arguments(output, *more), session=session, **environ)
 
 
 def numbers(output: Path) -> dict[str, Any]:
-    """Rounded, as they depend on who comes first in a sum."""
+    """Numbers rounded, because sums depend on the order of ranks."""
     q = support.summary(output)["interfaces"]
     return {name: round(v["pressure_mean"], 8) for name, v in q.items()}

@@ -1,4 +1,4 @@
-"""``mantle run`` that meets an error in a phase, on one rank: started by `test_fault_ranks`."""
+"""``mantle run`` with an error in a phase on one rank, started by `test_fault_ranks`."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ ERRORS: dict[str, BaseException] = {
 
 
 def arm(phase: str, error: str, rank: int) -> None:
-    """Have a call fail on a rank."""
+    """Make a call fail on a rank."""
     owner, name, at = PHASES[phase]
     usual, calls = getattr(owner, name), [0]
 

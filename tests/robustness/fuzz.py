@@ -1,9 +1,9 @@
 """Mutated case, sweep and study files, read in this process: ``fuzz.py SEED FIRST LAST FOLDER``.
 
-Each is what a shipped file becomes by a few mutations, of its text or of its content, and maybe
-some ``--set`` options. Reading it has to end in time, well or with an `InputError` that names a
-place; without starting anything, writing anywhere or taking much memory. What does otherwise is
-printed, a line of JSON each, with all that is needed to see it again.
+Each is a shipped file after a few mutations of its text or content, and maybe some ``--set``
+options. Reading has to end in time, with success or with an `InputError` that names a place. It
+must not start processes, write files or use much memory. Other outcomes are printed, a line of JSON
+each, with all data to repeat them.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ NUMBERS = (0, -1, 1e-300, 1e300, -1e30, 1e-9, 3, 10**400, 1e7, float("nan"), flo
 
 
 def value(rng: RANDOM) -> Any:
-    """Something that hardly any key expects."""
+    """A value that hardly any key expects."""
     number = rng.choice(NUMBERS)
     match rng.randrange(9):
         case 0:
@@ -132,7 +132,7 @@ def value(rng: RANDOM) -> Any:
 
 
 def places(data: Any, depth: int = 0) -> Iterator[tuple[Any, Any]]:
-    """Every container of a tree, which may be inside itself, with each of its keys."""
+    """Every container of a tree, which may contain itself, with each of its keys."""
     keys = {dict: list, list: lambda x: range(len(x))}.get(type(data), lambda x: ())(data)
     for key in keys:
         yield data, key
@@ -141,7 +141,7 @@ def places(data: Any, depth: int = 0) -> Iterator[tuple[Any, Any]]:
 
 
 def of_tree(rng: RANDOM, text: str) -> bytes:
-    """A file whose values, keys or entries are changed."""
+    """A file with changed values, keys or entries."""
     data = YAML(typ="safe", pure=True).load(text)
     for _ in range(rng.randint(1, 3)):
         owner, key = rng.choice(list(places(data)) or [({}, "a")])
@@ -164,7 +164,7 @@ def of_tree(rng: RANDOM, text: str) -> bytes:
 
 
 def written(data: Any) -> str:
-    """A tree as YAML, aliases and all."""
+    """A tree as YAML with aliases."""
     yaml: Any = YAML(typ="safe", pure=True)
     yaml.width = 1 << 20
     stream = io.StringIO()
@@ -195,7 +195,7 @@ def options(rng: RANDOM, text: str) -> list[str]:
 
 
 def read(path: Path, overrides: list[str]) -> None:
-    """Read a file as the commands do."""
+    """Read a file by the functions of the commands."""
     data = yaml_file.read(path).data
     if path.parent.name == "sweeps" or "parts" in data or "grid" in data:
         sweep_file.read(path, overrides)
@@ -212,7 +212,7 @@ def read(path: Path, overrides: list[str]) -> None:
 
 
 class Late(BaseException):
-    """It takes too long."""
+    """The attempt takes too long."""
 
 
 def _late(*_: object) -> None:
@@ -220,7 +220,7 @@ def _late(*_: object) -> None:
 
 
 def guard(allowed: Path) -> None:
-    """Refuse, in this process and for good, what no reader of a file does."""
+    """Forbid, in this process and for good, calls that no reader of a file makes."""
     forbidden = re.compile(r"os\.(system|exec|posix_spawn|fork|remove|rename)|subprocess|socket\.")
 
     def hook(event: str, arguments: tuple[Any, ...]) -> None:
@@ -234,7 +234,7 @@ def guard(allowed: Path) -> None:
 
 
 def wrong(call: Callable[[], None], names: tuple[str, ...], seconds: float) -> str:
-    """Fault in the end of a call, in words; empty without one."""
+    """Fault in the outcome of a call, in words; empty without one."""
     signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         call()
@@ -252,7 +252,10 @@ def wrong(call: Callable[[], None], names: tuple[str, ...], seconds: float) -> s
 
 
 def search(numbers: range, attempt: Callable[[int], dict[str, Any]]) -> None:
-    """Print what attempts with some numbers find, a line of JSON each, then how many they were."""
+    """Print outcomes of attempts with some numbers, a line of JSON each.
+
+    The last line is the number of attempts.
+    """
     for i in numbers:
         failure = attempt(i)
         if failure:

@@ -1,8 +1,8 @@
 """Damaged mesh files, read one after another: ``fuzz_meshes.py SEED FIRST LAST FOLDER``.
 
-Each is a good file of two blocks (formats 2.2 and 4.1, as text and binary) with its end or its
-parts missing, other numbers in it, or garbage. Reading one has to end in time, with a mesh or with
-an error of a kind that the command line tells. What does otherwise is printed, a line of JSON each.
+Each is a good file of two blocks (formats 2.2 and 4.1, as text and binary) that lacks its end or
+parts, or has other numbers or garbage in it. Reading has to end in time, with a mesh or with an
+error that the command line reports. Other outcomes are printed, a line of JSON each.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def good(folder: Path) -> list[bytes]:
 
 
 def damaged(rng: random.Random, raw: bytes) -> bytes:
-    """A file with something wrong with it."""
+    """A file with a defect."""
     for _ in range(rng.choice((1, 1, 1, 2, 5))):
         at = rng.randint(0, len(raw))
         lines = raw.split(b"\n")
@@ -95,7 +95,7 @@ def damaged(rng: random.Random, raw: bytes) -> bytes:
 
 
 def read(path: Path) -> str:
-    """Mesh a case whose file is damaged: what is wrong with the way it ends."""
+    """Mesh a case with a damaged file; return the fault of the outcome."""
     try:
         case = load(path).config
         meshes.build(case.geometry, case.mesh, None)

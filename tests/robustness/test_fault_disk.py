@@ -1,4 +1,7 @@
-"""Full and read-only disks, a folder of two runs: reported, and the next run works."""
+"""Full and read-only disks, and a folder of two runs.
+
+Faults are reported, and the next run works.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ def script(lines: list[str], command: list[str], cache: Path, codes: int) -> tup
 
 
 def twice(command: list[str], size: int, disk: Path, cache: Path) -> tuple[list[int], str]:
-    """Run on a disk of a size [kB], then again when it has grown; exit codes and output."""
+    """Run on a disk of a size [kB], then again on a larger one; return exit codes and output."""
     lines = [
         f"mount -t tmpfs -o size={size}k,mode=777 none {disk}",
         '"$@"; first=$?',
@@ -46,7 +49,7 @@ def twice(command: list[str], size: int, disk: Path, cache: Path) -> tuple[list[
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [4, 12, 32, 64, 96, 160])
 def test_fault_disk_full_output_folder(size: int, warmed: Path, tmp_path: Path) -> None:
-    """Fields, history, checkpoints, summary: whichever comes last before the disk is full."""
+    """Any of fields, history, checkpoints and summary may be the last before the disk is full."""
     (tmp_path / "out").mkdir()
     codes, printed = twice(command(tmp_path / "out"), size, tmp_path / "out", warmed)
     assert codes[0] in ((0, 5) if size > 64 else (5,)) and codes[1] == 0, printed
@@ -61,7 +64,7 @@ def test_fault_disk_full_output_folder(size: int, warmed: Path, tmp_path: Path) 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [16, 128, 512, 1024, 2048])
 def test_fault_disk_full_cache(size: int, tmp_path: Path) -> None:
-    """Forms have to be kept, meshes need not."""
+    """Forms must be kept; meshes need not be kept."""
     (tmp_path / "cache").mkdir()
     codes, printed = twice(command(tmp_path / "out"), size, tmp_path / "cache", tmp_path / "cache")
     assert codes[0] in ((0, 69) if size > 64 else (69,)) and codes[1] == 0, printed
@@ -74,7 +77,7 @@ def test_fault_disk_full_cache(size: int, tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(4))
 def test_fault_disk_becomes_read_only(number: int, warmed: Path, tmp_path: Path) -> None:
-    """At a random moment, as disks with errors do."""
+    """The disk becomes read-only at a random moment, like disks with errors."""
     out = tmp_path / "out"
     out.mkdir()
     moment = random.Random(number).uniform(0.3, 2.5)

@@ -1,4 +1,4 @@
-"""Clocks, no compiler, a wrong BLAS, too little memory, forms compiled elsewhere."""
+"""Clocks, missing compiler, wrong BLAS, too little memory, forms compiled elsewhere."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.robustness.faulty import DAMAGES, arguments, command, damage, start
 
 
 def test_fault_machine_limits_do_not_use_the_wall_clock() -> None:
-    """Limits and durations are by clocks that are never set."""
+    """Limits and durations use clocks that nobody sets."""
     clock = re.compile(r"\btime\.time\(|datetime\.now|clock\.time\(")
     files = [p for part in ("app", "meshes", "forms") for p in (support.ROOT / part).rglob("*.py")]
     used = {f"{p.parent.name}/{p.name}" for p in files if clock.search(p.read_text())}
@@ -136,7 +136,7 @@ time.sleep(60)
 
 
 def test_fault_machine_waits_for_a_running_compilation(tmp_path: Path) -> None:
-    """Files of a process are removed only once it is dead; other forms are free."""
+    """Files of a process are removed only after its death. Other forms are available."""
     form, other = "libffcx_forms_" + "0" * 40, "libffcx_forms_" + "1" * 40
     existed: dict[str, bool] = {}
 
@@ -162,7 +162,7 @@ def test_fault_machine_waits_for_a_running_compilation(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(3))
 def test_fault_machine_two_cold_runs_at_once(number: int, tmp_path: Path) -> None:
-    """A compiler that takes longer than anybody would wait without asking."""
+    """The compiler takes longer than the usual waiting time."""
     compiler = tmp_path / "cc"
     compiler.write_text(f'#!/bin/sh\nsleep {12 if number == 0 else 1}\nexec cc "$@"\n')
     compiler.chmod(0o755)

@@ -1,4 +1,4 @@
-"""One rank is killed or meets an error: all end, soon, and the next run works."""
+"""One rank is killed or has an error. All ranks end soon, and the next run works."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TWO = ("-n", "2")
 
 
 def processes(output: Path, environ: bytes = b"") -> list[int]:
-    """Whatever runs with this folder on its command line, and with this in its environment."""
+    """Processes with this folder on their command line, or with this in their environment."""
     numbers = []
     for path in Path("/proc").glob("[0-9]*"):
         try:
@@ -113,7 +113,7 @@ def test_fault_ranks_error_on_one_ends_all(
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(10))
 def test_fault_ranks_end_with_a_killed_mpirun(number: int, tmp_path: Path) -> None:
-    """They would wait for each other for ever, at full speed."""
+    """Without it the ranks would deadlock."""
     output = tmp_path / "out"
     child = subprocess.Popen(
         support.mpirun(2, *arguments(output, "--set", "mesh.size=1 mm")),

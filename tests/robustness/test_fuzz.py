@@ -1,4 +1,4 @@
-"""Mutated case, sweep, study and mesh files: read, or refused in words, in time and memory."""
+"""Mutated case, sweep, study and mesh files: read or refused within limits of time and memory."""
 
 from __future__ import annotations
 
@@ -30,5 +30,5 @@ def test_fuzz_many_case_files(part: int, tmp_path: Path) -> None:
 
 
 def test_fuzz_many_mesh_files(tmp_path: Path) -> None:
-    """5 and 626 crash gmsh 4.13."""
+    """Files 5 and 626 crash gmsh 4.13."""
     fuzz("fuzz_meshes", "all", 0, 2000, tmp_path)

@@ -1,6 +1,6 @@
-"""The image of the Dockerfile, built by buildah without an engine, and what runs in it.
+"""The image of the Dockerfile, built by buildah without an engine, and runs in it.
 
-Its base comes from the archive of the Debian that the tests run in; nothing is pulled.
+Its base comes from the archive of the Debian of the tests. Nothing is pulled.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ SWEEP = (
 
 @dataclass
 class Image:
-    """An image, and a container of it.
+    """An image, and a container with it.
 
     Attributes:
         folder: Holds the storage of buildah, and the folder that is shown to it as /work.
@@ -86,7 +86,7 @@ def base(image: Image) -> None:
 
 
 def limits() -> list[str]:
-    """Limits of this process for those in the image: buildah asks for more than it may have."""
+    """Limits of this process for processes in the image, because buildah asks for more."""
     known = {"nproc": resource.RLIMIT_NPROC, "nofile": resource.RLIMIT_NOFILE}
     hard = {name: resource.getrlimit(limit)[1] for name, limit in known.items()}
     return [f"--ulimit={name}={n}:{n}" for name, n in hard.items() if n != resource.RLIM_INFINITY]
@@ -113,7 +113,7 @@ def image() -> Iterator[Image]:
 
 
 def test_image_runs_cases_and_sweeps_without_a_compiler(image: Image) -> None:
-    """As its user, in a folder of the caller's."""
+    """The user of the image runs them in a folder of the caller."""
     (image.work / "sweeps").mkdir()
     for name in ("stance.yaml", "cylinders.yaml", "sweeps/friction_cylinders.yaml"):
         shutil.copy(support.CONFIGS / name, image.work / name)
@@ -138,7 +138,7 @@ def test_image_runs_cases_and_sweeps_without_a_compiler(image: Image) -> None:
 
 
 def test_image_ignores_a_hostile_folder(image: Image) -> None:
-    """On one rank and in a sweep on two."""
+    """A run on one rank and a sweep on two ignore the files."""
     folder = image.work / "hostile"
     folder.mkdir()
     mislead(folder)

@@ -1,4 +1,4 @@
-"""Runs killed at random moments leave nothing that is wrong or in the way."""
+"""Runs killed at random moments leave no wrong or obstructive files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FILES |= {"final.vtkhdf", "case.png", "report.html", "checkpoint-2.state", "chec
 
 
 def start(output: Path, folder: Path, *more: str) -> subprocess.Popen[str]:
-    """A run with cache and temporary files in a folder, leader of a process group."""
+    """A run with cache and temporary files in a folder, as leader of a process group."""
     (folder / "tmp").mkdir(exist_ok=True)
     environ = {"XDG_CACHE_HOME": str(folder / "cache"), "TMPDIR": f"{folder}/tmp"}
     return faulty.start(output, *more, session=True, **environ)
@@ -38,7 +38,7 @@ def finish(child: subprocess.Popen[str]) -> None:
 def usual(
     warmed: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[dict[bool, float], object]:
-    """Seconds of a run with an empty cache and of one with a full, and its numbers."""
+    """Seconds of a run with an empty cache and with a full one, and its numbers."""
     folder = tmp_path_factory.mktemp("usual")
     seconds = {}
     for cold in (True, False):

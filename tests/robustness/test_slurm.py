@@ -1,7 +1,7 @@
-"""Many runs by a real Slurm: the daemons run in separate namespaces, on this machine.
+"""Many runs by a real Slurm, whose daemons run in separate namespaces on this machine.
 
-The cases are solved for real, on two ranks each; what stands between Slurm and ``mantle run`` only
-writes down what became of every call.
+Each case is solved on two ranks. A wrapper between Slurm and ``mantle run`` records the end of
+every call.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def queue() -> dict[str, str]:
 
 @pytest.fixture(scope="module", autouse=True)
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """A Slurm of one node with four processors, which the environment leads to."""
+    """A Slurm of one node with four processors, to which the environment points."""
     missing = [program for program in PROGRAMS if shutil.which(program) is None]
     if missing:
         pytest.skip(
@@ -163,7 +163,7 @@ def wait(condition: Callable[[], bool], seconds: float = PATIENCE) -> None:
 
 
 def batch_of(folder: Path, cases: int, *options: str) -> list[Result]:
-    """Three blocks in contact, with as many coefficients of friction, on two ranks each."""
+    """Three cases of blocks in contact with different friction, on two ranks each."""
     (folder / "counted.py").write_text(COUNTED)
     batch.MANTLE_RUN = (sys.executable, str(folder / "counted.py"))
     jobs = [
@@ -205,7 +205,8 @@ def test_slurm_killed_batch_is_resumed(tmp_path: Path) -> None:
     assert f"[{CASES}/{CASES}]" in printed and "failed" not in printed
     assert queue() == {}
     solved = [line.split()[0] for line in calls(tmp_path) if line.endswith(" 0 solved")]
-    assert len(solved) == CASES == len(set(solved))
+    assert len(solved) == len(set(solved))
+    assert CASES == len(set(solved))
     # Those that were left in the queue were submitted again, and were finished already.
     others = [line for line in calls(tmp_path) if not line.endswith(" 0 solved")]
     assert others and all(line.endswith(" 0 finished") for line in others)
@@ -218,7 +219,7 @@ def test_slurm_killed_batch_is_resumed(tmp_path: Path) -> None:
 
 
 def test_slurm_running_case_is_waited_for(tmp_path: Path) -> None:
-    """Though there is room for another job beside it."""
+    """The batch waits although there is room for another job."""
     (tmp_path / "hold").write_text("")
     first = start(tmp_path, 1)
     wait(lambda: any((tmp_path / "out put" / "runs").glob("*.log")))
@@ -248,7 +249,7 @@ def test_slurm_interrupted_batch_leaves_no_job(tmp_path: Path) -> None:
 
 
 def test_slurm_job_ended_by_slurm_is_a_failed_run(tmp_path: Path) -> None:
-    """With options for sbatch that are not easily quoted."""
+    """The options for sbatch need quotes."""
     process = start(tmp_path, 1)
     wait(lambda: "RUNNING" in queue().values())
     (number,) = queue()
@@ -275,7 +276,10 @@ grid:
 
 @pytest.mark.skipif("MANTLE_TREE" not in os.environ, reason="not in a tree of the launcher")
 def test_slurm_jobs_use_the_tree_of_the_launcher(tmp_path: Path) -> None:
-    """Interrupted and called again. This tree is the host there; jobs leave no cache at home."""
+    """The batch is interrupted and repeated.
+
+    The tree is the host's, and jobs leave no cache at home.
+    """
     folder = tmp_path / "it's {mine}"
     folder.mkdir()
     (folder / "sweep.yaml").write_text(SWEEP)

@@ -1,4 +1,4 @@
-"""Expressions in x, y, z: evaluated, refused."""
+"""Expressions in x, y, z: values, and refused texts."""
 
 from __future__ import annotations
 

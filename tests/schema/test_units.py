@@ -1,15 +1,17 @@
-"""Units: conversion and any text."""
+"""Units: conversion, and arbitrary texts."""
 
 from __future__ import annotations
 
 import math
 from fractions import Fraction
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
+from app.schema import units
 from app.schema.units import Angle, Length, Stiffness, Temperature
 
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
@@ -22,7 +24,7 @@ angles = st.floats(-math.pi, math.pi).map(lambda v: f"{v!r} rad")
 
 @given(finite, st.sampled_from(sorted(FACTORS)), st.sampled_from(["", " ", "\t"]))
 def test_units_conversion_is_rounded_once(value: float, unit: str, space: str) -> None:
-    """The result is the float nearest to the exact product of the number as written."""
+    """The result is the float nearest to the exact product of the written number."""
     text = f"{value!r}{space}{unit}"
     exact = Fraction(repr(value)) * FACTORS[unit]
     try:
@@ -67,3 +69,25 @@ def test_units_temperatures_and_angles_survive_writing(text: str) -> None:
         assert float(text.split()[0]) + 273.15 * text.endswith("degC") <= 1e-12
         return
     assert adapter.validate_python(adapter.dump_python(value, mode="json")) == value
+
+
+def test_units_conversion_is_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def forget() -> None:
+        units.conversion.cache_clear()
+        units._kept.cache_clear()
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    forget()
+    name = "kN/inch^2"
+    factors = units.conversion(name, "MPa")
+    assert factors[0] == Fraction(1000) / Fraction("25.4") ** 2
+    forget()
+    with monkeypatch.context() as without:
+        without.setattr(units, "registry", lambda: pytest.fail("asked again"))
+        assert units.conversion(name, "MPa") == factors
+    kept = tmp_path / "mantle/units/conversions.json"
+    for text in ("{broken", "[]", "\0", *(f'{{"{name} in MPa": {v}}}' for v in (1, '["x"]'))):
+        kept.write_text(text)
+        forget()
+        assert units.conversion(name, "MPa") == factors
+    forget()

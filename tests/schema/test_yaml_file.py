@@ -1,4 +1,4 @@
-"""YAML files: version 1.2, byte order marks, lines of Windows."""
+"""YAML files: version 1.2, byte order marks, Windows line ends."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tests import support
 
 
 def test_yaml_file_is_of_version_1_2(two_blocks: str) -> None:
-    """``no`` is a word, ``1e-3`` a number, and a date text."""
+    """``no`` is a word, ``1e-3`` is a number, and a date is a text."""
     case = support.case(two_blocks + "title: no\nsolver: {tolerance: 1e-3}\n")
     assert case.title == "no"
     assert case.solver.tolerance == 1e-3

@@ -21,7 +21,7 @@ ASKED = STACK.replace("error: true", "accuracy: 5 %")
 
 
 def chosen(*constants: float, walltime: float | None = None) -> tuple[Case, str, list[Case]]:
-    """The choice where errors of slip are C h^p, and the cheap runs; a tiny gap does not count."""
+    """The choice if errors of slip are C h^p, and the cheap runs. A tiny gap does not count."""
     solved: list[Case] = []
 
     def solve(case: Case) -> dict[str, Any]:

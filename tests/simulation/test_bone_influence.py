@@ -1,4 +1,4 @@
-"""Change of a run's numbers by other bone where none was measured."""
+"""Influence of unmeasured bone on a run's numbers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.patient.bones import opened, parametric_canal, parametric_femur, writ
 
 
 def influence_of(folder: Path, canal: dict[str, str]) -> BoneInfluence:
-    """Influence of the bone of `bone.stl` that was not measured; the run states it."""
+    """Influence of the part of the bone in `bone.stl` that was not measured; the run reports it."""
     case = {
         "base": "stance",
         "geometry": {

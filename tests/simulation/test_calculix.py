@@ -1,4 +1,4 @@
-"""A case as an input file of CalculiX: forces, materials, bodies, and what it refuses."""
+"""A case as an input file of CalculiX: forces, materials, bodies, refused cases."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def blocks(text: str, key: str) -> list[np.ndarray]:
 
 
 def test_calculix_forces_have_resultant_and_moment(tmp_path: Path) -> None:
-    """F and r x F of the force at its point; of the pressure on a half cylinder 2 R L p."""
+    """The force at its point has F and r x F; the pressure on a half cylinder has 2 R L p."""
     text, data = deck(tmp_path, CASE.replace("FIBRE", "[0, 0, 1]"))
     x = blocks(text, "NODE, ")[0][:, 1:]
     totals = []
@@ -98,7 +98,10 @@ def test_calculix_forces_have_resultant_and_moment(tmp_path: Path) -> None:
 
 
 def test_calculix_supports_by_stage(tmp_path: Path) -> None:
-    """The floor is let go in the second stage, in which the foot moves: of the same nodes."""
+    """The floor is released in the second stage, in which the foot moves.
+
+    Both have the same nodes.
+    """
     text, _ = deck(tmp_path, CASE.replace("FIBRE", "[0, 0, 1]"))
     x, (first, second) = blocks(text, "NODE, ")[0][:, 1:], blocks(text, "BOUNDARY")
     held = x[first[first[:, 1] == 1, 0].astype(int) - 1]
@@ -129,7 +132,10 @@ def test_calculix_supports_by_stage(tmp_path: Path) -> None:
 def test_calculix_materials(
     fibre: str, constants: list[float], orientation: str, tmp_path: Path
 ) -> None:
-    """E1 E2 E3 nu12 nu13 nu23 G12 G13 G23, by nu12 / E1 = nu21 / E2; axis 2 is the hoop's."""
+    """The order is E1 E2 E3 nu12 nu13 nu23 G12 G13 G23, with nu12 / E1 = nu21 / E2.
+
+    Axis 2 is the hoop's.
+    """
     text, _ = deck(tmp_path, CASE.replace("FIBRE", fibre))
     lines = text.partition("*ELASTIC, TYPE=ENGINEERING CONSTANTS\n")[2].splitlines()
     written = [float(word) for word in f"{lines[0]}{lines[1]}".split(",")]
@@ -139,7 +145,7 @@ def test_calculix_materials(
 
 
 def test_calculix_varying_modulus(tmp_path: Path) -> None:
-    """Each cell has, to 1 %, the modulus at its middle: it is linear in z."""
+    """Each cell has, to 1 %, the modulus at its middle, which is linear in z."""
     text = CASE.replace("FIBRE", "[0, 0, 1]").replace("order: 2", "order: 2, curved: false")
     text = text.replace("youngs_modulus: 2 GPa", "youngs_modulus: [[0 mm, 1 GPa], [12 mm, 10 GPa]]")
     text, data = deck(tmp_path, text)
@@ -225,7 +231,7 @@ def numbers(solved: support.Solved, u: Floats, monkeypatch: pytest.MonkeyPatch) 
 def test_calculix_hip_has_equal_displacements(
     law: str, same: list[float], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Bonded displacements agree to the digits that it prints, contact as far as its facets do."""
+    """Bonded displacements agree to the printed digits, contact to the error of its facets."""
     stem, bone = law.replace("μ", "0.4"), law.replace("μ", "1.0")
     changes = f"interfaces: {{stem_cement: {{{stem}}}, cement_bone: {{{bone}}}}}"
     solved, ours, theirs = solved_by_calculix(tmp_path, changes)

@@ -1,4 +1,4 @@
-"""Checkpoints: files that are whole or not there, which one is taken, what is refused."""
+"""Checkpoints: complete or absent files, choice of one, refused ones."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_checkpoint_failed_write_keeps_the_previous(
 
 @pytest.fixture(scope="module")
 def run_of_blocks(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run with a checkpoint after every step, of which two are kept."""
+    """A run with a checkpoint after every step, which keeps two of them."""
     folder = tmp_path_factory.mktemp("blocks")
     (folder / "case.yaml").write_text(restarted.RUBBING)
     options = ["--set", FIELDS, "--set", "output.checkpoint.steps=1"]
@@ -88,7 +88,7 @@ def run_of_blocks(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def copied(folder: Path, to: Path) -> Path:
-    """The run directory as if it had been killed at the end."""
+    """The run directory in the state after a kill at the end."""
     shutil.copytree(folder / "out", to)
     (to / "DONE").unlink()
     return to
@@ -163,7 +163,7 @@ def test_checkpoint_of_another_version_is_refused(
 def test_checkpoint_minutes_do_not_change_steps(
     run_of_blocks: Path, tmp_path: Path, minutes: float, kept: int
 ) -> None:
-    """However many there are, the steps are the same."""
+    """Any number of checkpoints leaves the steps the same."""
     case, out = run_of_blocks / "case.yaml", tmp_path / "out"
     options = ["--set", FIELDS, "--set", f"output.checkpoint.minutes={minutes}"]
     assert main(["run", str(case), "-o", str(out), *options]) == 0
@@ -228,7 +228,7 @@ def test_checkpoint_run_under_nohup_continues(tmp_path: Path) -> None:
 
 
 def begun(folder: Path, out: Path, hung_up: signal.Handlers) -> subprocess.Popen[str]:
-    """A run that has made a step, started with what becomes of SIGHUP."""
+    """A run that has made a step, started with a handling of SIGHUP."""
     case = folder / "case.yaml"
     case.write_text(restarted.RUBBING)
     process = subprocess.Popen(
@@ -244,7 +244,7 @@ def begun(folder: Path, out: Path, hung_up: signal.Handlers) -> subprocess.Popen
 
 
 def wait_for(process: subprocess.Popen[str], step: int) -> None:
-    """Wait until a run tells of a step."""
+    """Wait until a run reports a step."""
     assert process.stdout is not None
     while not process.stdout.readline().startswith(f"{step:4d} "):
         assert process.poll() is None
@@ -254,7 +254,10 @@ def wait_for(process: subprocess.Popen[str], step: int) -> None:
 def test_checkpoint_second_interrupt_stops_at_once(
     first: signal.Signals, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """But not the same one, which may arrive twice, nor a scheduler's, which come in turn."""
+    """The same signal may arrive twice, and a scheduler sends several signals.
+
+    These do not stop the run.
+    """
     handlers: dict[int, Any] = {}
     now, ended = [10.0], list[int]()
     monkeypatch.setattr(signal, "signal", handlers.__setitem__)
@@ -282,7 +285,7 @@ def test_checkpoint_second_interrupt_stops_at_once(
 def test_checkpoint_is_saved_at_the_wall_time(
     tmp_path: Path, tick: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By a clock that goes on by a tick whenever it is looked at."""
+    """Each look at the clock advances it by a tick."""
 
     class Clock:
         now = 0.0
@@ -306,7 +309,7 @@ def test_checkpoint_is_saved_at_the_wall_time(
 
 @pytest.mark.slow
 def test_checkpoint_restarts_after_twenty_kills(tmp_path: Path) -> None:
-    """Whenever a run is killed, what it left goes on to the same numbers."""
+    """A run killed at any moment continues to the same numbers."""
     case, _ = restarted.whole(restarted.RUBBING, tmp_path, FIELDS)
     command = ["run", str(case), "--set", FIELDS, "--set", "output.checkpoint.steps=1"]
     random = np.random.default_rng(7)

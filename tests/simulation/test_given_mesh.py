@@ -1,4 +1,4 @@
-"""A case on a dolfinx mesh that a script hands over."""
+"""A case on a dolfinx mesh of a script."""
 
 from __future__ import annotations
 
@@ -48,7 +48,10 @@ def blocks(comm: MPI.Comm = MPI.COMM_SELF) -> TaggedMesh:
 
 
 def test_given_mesh_is_solved_and_gives_functions(tmp_path: Path) -> None:
-    """Frictionless blocks of 2 mm under 3 MPa: each shortens by p h / E; the joint carries p."""
+    """Frictionless blocks of 2 mm are under 3 MPa.
+
+    Each shortens by p h / E, and the joint carries p.
+    """
     results = mantle.run(CASE, tmp_path / "box", mesh=blocks())
     assert results.summary["interfaces"]["joint"]["pressure_mean"] == pytest.approx(3.0)
     u = results.fields.function("displacement")
@@ -73,11 +76,13 @@ def test_given_mesh_on_two_ranks_is_that_of_one(tmp_path: Path) -> None:
 
 
 def test_given_mesh_is_gathered_as_it_was_distributed() -> None:
-    """Straight cells and curved ones: volumes of regions, areas of boundaries, their names."""
+    """Straight and curved cells keep volumes of regions, areas of boundaries, and names."""
     for curved in (False, True):
         data = mantle.mesh(mantle.load(CONFIGS / "cylinders.yaml", **{"mesh.curved": curved}))
         gathered = gather(distribute(data, MPI.COMM_SELF))
-        assert gathered is not None and gathered.curved == curved == data.curved
+        assert gathered is not None
+        assert gathered.curved == data.curved
+        assert curved == data.curved
         assert gathered.boundaries == data.boundaries and gathered.interfaces == data.interfaces
         for measure in (mesh_data.region_volumes, mesh_data.boundary_areas):
             assert measure(gathered) == pytest.approx(measure(data), rel=1e-12)

@@ -1,4 +1,4 @@
-"""Estimated times beside those measured on one idle core."""
+"""Estimated times against times measured on one idle core."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ import pytest
 
 from app.case.case import load
 from app.soundness import cost
+from meshes import build
+from tests import support
+from tests.cases.separate_bodies import block_under_plate
 from tests.support import CONFIGS
 
 NO_ERRORS = "output.error=false"
@@ -66,7 +69,10 @@ def contact_line(name: str, *changes: str, available: float = 1e10) -> str:
 
 
 def test_cost_check_names_the_solver_and_reason() -> None:
-    """By count of solves, order, memory and what is asked for; beside heat of contact, nothing."""
+    """The choice depends on the number of solves, order, memory and options.
+
+    With heat of contact there is no choice.
+    """
     small = contact_line("stance", "mesh.size=10 mm")
     condensed = r"1 solve of [\d,]+ displacement unknowns by condensation onto the jumps, [\d.]+ GB"
     assert re.search(f"{condensed}$", small)
@@ -91,3 +97,16 @@ def test_cost_phases_add_up() -> None:
     phases = cost.phases(case)
     assert all(seconds > 1.0 for seconds in phases.values())
     assert sum(phases.values()) < cost.seconds(case)
+
+
+def test_cost_rigid_head_has_no_unknowns() -> None:
+    case = load(support.CONFIGS / "head_cup.yaml").config
+    size = cost.exact_size(case, build(case.geometry, case.mesh))
+    counted = re.search(r"([\d,]+) unknowns", size)
+    assert counted and 0.8 < cost.unknowns(case) / float(counted[1].replace(",", "")) < 1.25
+
+
+def test_cost_counts_nodes_of_the_second_side() -> None:
+    case = support.case(block_under_plate())
+    description = cost.exact_size(case, build(case.geometry, case.mesh))
+    assert " interface nodes with a jump" in description and " 0 interface nodes" not in description

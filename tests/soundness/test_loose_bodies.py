@@ -1,4 +1,4 @@
-"""Free rigid motions: held bodies are never called loose, free ones always are."""
+"""Free rigid motions: held bodies are never called loose; free ones always are."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ solver: {{linear: {linear}}}
 
 @dataclass(frozen=True)
 class Drawn:
-    """A drawn case, and whether something holds each body."""
+    """A random case, and whether something holds each body."""
 
     text: str
     held: bool
@@ -107,7 +107,7 @@ def draw(seed: int) -> Drawn:
 
 
 def judge(seed: int) -> None:
-    """Solve a drawn case and compare the reason of its refusal."""
+    """Solve a random case and compare the reason of its refusal."""
     drawn = draw(seed)
     try:
         support.solve(drawn.text)
@@ -150,7 +150,10 @@ def torque(moment: float, history: str = "[1]") -> tuple[str, ...]:
 @pytest.mark.parametrize("linear", support.SOLVERS)
 @pytest.mark.parametrize("moment", [1e-3, 1.0, 200.0])
 def test_loose_bodies_turn_by_a_small_torque(moment: float, linear: str) -> None:
-    """Nothing bears a torque about the axis of a frictionless stem, be it small beside 900 N."""
+    """Nothing bears a torque about the axis of a frictionless stem.
+
+    The torque is small compared with 900 N.
+    """
     with pytest.raises(ConvergenceError, match=ALONG) as error:
         support.solve(support.STEM, SMOOTH, *torque(moment), f"solver.linear={linear}")
     assert Reason.within(str(error.value)) == {Reason.LOOSE_BODY}
@@ -171,7 +174,7 @@ def test_loose_bodies_turn_in_a_later_stage(moment: float) -> None:
 def test_loose_bodies_are_not_those_with_an_axis_in_doubt(
     force: str, taper: float, digits: int
 ) -> None:
-    """With rounded coordinates the axis is off, and loads through it have a small torque."""
+    """Rounded coordinates shift the axis, so loads through it have a small torque."""
     changes = (SMOOTH, f"geometry.taper={taper} deg", f"loads.hip.force={force}")
     case = support.case(support.STEM, *changes)
     data = meshes.build(case.geometry, case.mesh)
@@ -205,7 +208,7 @@ solver: {{linear: {linear}}}
 def test_loose_bodies_leave_a_wall_by_a_small_force(
     push: float, linear: str, tmp_path: Path
 ) -> None:
-    """900 N press the block on the floor, and a small force pulls it off the wall."""
+    """A force of 900 N presses the block on the floor, and a small force pulls it off the wall."""
     blocks = {
         "base": lambda x: (x[:, 2] < 2) | (x[:, 0] < 2),
         "block": lambda x: (x[:, 2] > 2) & (x[:, 0] > 2),
@@ -251,7 +254,7 @@ loads:
 def test_loose_bodies_are_found_beside_one_that_is_pressed(
     force: Sequence[float], motion: str, density: float
 ) -> None:
-    """The load on one body is judged by the loads on it, not by 96 N or 9.6 kN on another one."""
+    """Only loads on the body itself matter, not 96 N or 9.6 kN on another one."""
     with pytest.raises(ConvergenceError, match=f"'high': it is free to .*{motion}") as error:
         support.solve(TOWER.format(force=list(force), density=density))
     assert Reason.within(str(error.value)) == {Reason.LOOSE_BODY}
@@ -262,7 +265,7 @@ def test_loose_bodies_are_found_beside_one_that_is_pressed(
 def test_loose_bodies_are_not_those_pressed_by_a_small_load(
     force: Sequence[float], density: float
 ) -> None:
-    """0.1 N with a friction of 0.3 hold 0.02 N, though the body below takes much larger loads."""
+    """A load of 0.1 N with a friction of 0.3 holds 0.02 N. The body below has much larger loads."""
     text = TOWER.format(force=list(force), density=density)
     problem, _ = support.assemble(support.case(text))
     problem.set_time(1.0)
@@ -301,7 +304,7 @@ output: {fields: false, report: false}
 
 @pytest.mark.parametrize("linear", support.SOLVERS)
 def test_loose_bodies_left_within_their_gaps_have_a_warning(linear: str, tmp_path: Path) -> None:
-    """Solvers leave it at different places; only the sum of both gaps has one value."""
+    """Solvers leave the body at different places. Only the sum of both gaps has one value."""
     linear = f"solver.linear={linear}"
     numbers = support.run(FLOATING, tmp_path, linear).summary
     gaps = [q["gap_mean"] for q in numbers["interfaces"].values()]
@@ -361,7 +364,7 @@ def moved(*overrides: str) -> float:
     [((TWIST,), "rotate about z"), (("geometry.taper=0 deg",), "move along z")],
 )
 def test_loose_bodies_stem_without_friction_is_free(overrides: tuple[str, ...], mode: str) -> None:
-    """It can rotate in its taper, and slide out of a straight hole."""
+    """The stem can rotate in its taper, and slide out of a straight hole."""
     with pytest.raises(ConvergenceError) as caught:
         moved(*SMOOTH_SURFACES, *overrides)
     assert re.search(rf"nothing holds body 'stem': .* free to {mode}", str(caught.value))
@@ -381,7 +384,7 @@ def test_loose_bodies_held_by_curved_facets_alone_are_named() -> None:
     "overrides", [SMOOTH_SURFACES, (TWIST,), (*SMOOTH_SURFACES, "mesh.size=5 mm")]
 )
 def test_loose_bodies_are_not_those_held_by_surfaces(overrides: tuple[str, ...]) -> None:
-    """A smooth taper holds a stem pushed into it; friction holds a rotation."""
+    """A smooth taper holds a stem that is pushed into it; friction holds a rotation."""
     assert moved(*overrides) > 0
 
 
@@ -389,9 +392,9 @@ def test_loose_bodies_are_not_those_held_by_surfaces(overrides: tuple[str, ...])
 def test_loose_bodies_stem_without_friction_is_free_for_any_friction_in_bone(
     friction: float,
 ) -> None:
-    """A stem without friction, pushed aside, leaves its cement. Friction in bone does not hold it.
+    """A stem without friction leaves its cement if pushed aside.
 
-    The friction is that of the cement in the bone.
+    Friction of the cement in the bone does not hold the stem.
     """
     changes = (
         SMOOTH,

@@ -1,4 +1,4 @@
-"""Meshes that are too large for the memory: refused with an estimate and a size that fits."""
+"""Meshes too large for the memory are refused with an estimate and a size that fits."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_memory_suggested_size_fits(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("option", ["around=900", "around=0.06 mm", "along=0.01 mm"])
 def test_memory_suggested_lines_and_steps_fit(option: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The key that makes the mesh too large is refused, with its value that fits."""
+    """The key that makes the mesh too large is refused, with a value that fits."""
     monkeypatch.setattr(memory, "available", lambda: 8e9)
     path, key = CONFIGS / "stance.yaml", option.split("=")[0]
     file = overlay.read(path, [f"mesh.{option}"])

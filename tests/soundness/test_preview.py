@@ -1,13 +1,19 @@
-"""Notes on input that is rarely meant (`app/soundness/preview.py`)."""
+"""Notes on implausible input (`app/soundness/preview.py`)."""
 
 from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 import mantle
-from app.case.case import Case
+import meshes
+from app.case.case import Case, load
 from app.soundness import preview
-from tests.support import CONFIGS
+from tests import support
+from tests.soundness.judged import TWO, judged
+from tests.support import CONFIGS, build
 
 
 def texts(case: Case) -> list[str]:
@@ -100,7 +106,7 @@ def test_preview_notes_loads_that_fall_in_a_stage_with_cycles(
 
 
 def test_preview_notes_conductance_across_open_contact() -> None:
-    """One that falls is not, nor one of a bond, nor one where nothing moves."""
+    """Conductance that falls has no note, nor has a bond, nor an interface without motion."""
 
     def noted(name: str, **changes: object) -> list[str]:
         notes = texts(mantle.load(CONFIGS / name, **changes).config)
@@ -114,3 +120,52 @@ def test_preview_notes_conductance_across_open_contact() -> None:
     bond = {"kind": "bonded", "conductance": "300 W/(m^2 K)"}
     assert noted("thermal_100C.yaml", interfaces__cement_bone=bond) == ["interfaces.stem_cement"]
     assert noted("thermal_rings.yaml") == []
+
+
+MORE = "supports.more={kind: displacement, boundary: "
+BOTH_SIDES = [
+    f"supports.{a}_{b}={{kind: fixed, boundary: {a}_{b}}}" for a in "xy" for b in ("min", "max")
+]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("interfaces.bone_metal.gap=-1 mm", "interference of 1 mm in bodies 10 mm thick"),
+        ("interfaces.bone_metal.gap=2 mm", "2 mm apart everywhere"),
+        ("loads.press.pressure=20 GPa", "loads.press: 2e+04 MPa on boundary 'top'"),
+        ("loads.press={kind: force, boundary: top, force: [0 N, 0 N, -2 MN]}", ": 2e+04 MPa"),
+        (f"{MORE}metal_x_min, x: 10 mm}}", "moves a model of 17.3 mm by 10 mm"),
+        (f"{MORE}bone_x_min, x: 0.01 mm}}", "a different displacement along x than supports.floor"),
+        ("\n".join(BOTH_SIDES), "hold both sides of interface 'bone_metal' at"),
+        ("mesh.size=5 mm\ngeometry.blocks[1].size=[10 mm, 10 mm, 1 mm]", "'metal' is 1 mm"),
+    ],
+)
+def test_preview_notes_disproportionate_values(change: str, words: str) -> None:
+    assert any(words in note for note in judged(TWO, *change.splitlines()))
+
+
+@pytest.mark.parametrize("change", ["bone.youngs_modulus=17 MPa", "bone.youngs_modulus=17 TPa"])
+def test_preview_notes_moduli_wrong_by_a_thousand(change: str) -> None:
+    note = preview.input_notes(support.case(TWO, f"regions.{change}"))[0].text
+    assert note.startswith("regions.bone.youngs_modulus is ")
+    assert note.endswith("is the unit wrong?")
+
+
+@pytest.mark.parametrize("force", ["1.8 N", "1800 kN"])
+def test_preview_notes_forces_wrong_by_a_thousand(force: str) -> None:
+    path = CONFIGS / "stance.yaml"
+    changes = [f"loads.{n}.history=[0]" for n in load(path).config.loads if n != "hip"]
+    change = f'loads.hip.force="[0, 0, -{force.replace(" ", "] ", 1)}"'
+    note = preview.input_notes(load(path, [*changes, change]).config)[0].text
+    assert "N; is the unit wrong?" in note
+
+
+def test_preview_notes_a_mesh_in_metres(tmp_path: Path) -> None:
+    data = build(support.case(TWO))
+    meshes.write_msh(replace(data, points=data.points * 1e-3), tmp_path / "a.msh")
+    sides = "interfaces: {bone_metal: [bone, metal]}"
+    tissues = "regions.bone.tissue=bone", "regions.metal.tissue=implant"
+    geometry = f"geometry={{kind: file, path: {tmp_path}/a.msh, {sides}}}"
+    notes = judged(TWO, geometry, *tissues)
+    assert any("0.0173 mm from corner to corner: is its unit really mm?" in n for n in notes)

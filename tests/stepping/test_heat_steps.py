@@ -1,8 +1,9 @@
-"""Time steps of heat through a stage: equal ones, ones by their error, one to a steady state."""
+"""Time steps of heat through a stage: equal, by their error, or one to a steady state."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,19 +11,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import mantle
+from app.case.case import load
 from app.case.run_options import Stage
 from app.foundation.errors import ConvergenceError
 from app.numerics.integrator import METHODS
 from app.numerics.newton import NewtonResult
+from app.results.verdicts import notes_of
 from app.stepping.heat_steps import HeatStepper
 from app.stepping.load_steps import Effort, LoadStep
+from app.verification.closed_forms_heat import WALLS
+from tests import support
+from tests.cases import coupled
 
 SOLVED = NewtonResult(True, 1, 0, (1e-9,), (0,), linear_failed=False)
 
 
 @dataclass
 class StandIn:
-    """Heat whose step has the error (length / largest)² over its tolerance, or is not solved.
+    """Heat with a step error of (length / largest)² over its tolerance, or without a solution.
 
     Attributes:
         largest: Step whose error is the tolerance [s].
@@ -63,13 +70,13 @@ class StandIn:
         return SimpleNamespace(outcome=SOLVED, error=solution.error)
 
     def solve_steady(self) -> Any:
-        """A steady state that is not found."""
+        """A steady state without a solution."""
         return None
 
 
 @dataclass
 class Followers:
-    """Mechanics that only record when they follow."""
+    """Mechanics that only record the times at which they follow."""
 
     ends: list[tuple[float, bool]] = field(default_factory=list)
 
@@ -137,3 +144,56 @@ def test_heat_steps_that_fail_say_where_and_what_to_do(stage: Stage, words: str)
     with pytest.raises(ConvergenceError, match=words) as caught:
         run(StandIn(unsolved=0.0), stage)
     assert stage.steady or f"in stage '{stage.name}' at 0 % of it" in str(caught.value)
+
+
+CLOCK = """
+geometry: {kind: blocks, blocks: [{name: cube, size: [2 mm, 2 mm, 2 mm]}]}
+mesh: {order: 1, size: 2 mm}
+regions:
+  cube:
+    kind: conductor
+    thermal:
+      conductivity: 0.2 W/(m K)
+      density: 1200 kg/m^3
+      specific_heat: 1450 J/(kg K)
+      initial_temperature: 37 degC
+      cure:
+        kinetics: {kind: prescribed, rate: [[70 s, 2], [250 s, 1], [370 s, 1]]}
+        heat: 1.55e8 J/m^3
+        initial: 0
+stages:
+  - {name: set, duration: 420 s, increments: 7, adaptive: false}
+"""
+
+
+@pytest.mark.parametrize("method", ["sdirk4", "backward_euler"])
+def test_heat_steps_of_equal_length_do_not_cross_kinks(
+    monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    """A prescribed rate jumps between the ends of 60 s steps.
+
+    It releases all its heat, and no more.
+    """
+    run = coupled.solve(monkeypatch, f"time.method={method}", text=CLOCK)
+    assert [s.seconds for s in run.steps] == [60, 70, 120, 180, 240, 250, 300, 360, 370, 420]
+    released = sum(s.heats["cure cube"] for s in run.steps)
+    whole = 8.0 * 155.0  # N mm
+    # The rate is linear between the kinks: a rule of order 4 is exact, that of order 1 is not.
+    if method == "sdirk4":
+        assert released == pytest.approx(whole, rel=1e-12)
+    (degree,) = run.model.thermal.heating.degrees().values()
+    assert degree == pytest.approx(released / whole, rel=1e-12)
+
+
+@pytest.mark.parametrize(("start", "state"), [(37, 0), (50, 1), (60, 2)])
+def test_heat_steps_note_unstable_steady_states(start: float, state: int, tmp_path: Path) -> None:
+    """Heated walls (Barber, Dundurs and Comninou, 1980) are open, closed, or between."""
+    changes = (
+        "stages=[{name: gap}, {name: rest, steady: true}]",
+        f"regions.cement.thermal.initial_temperature={start} degC",
+    )
+    case = load(support.CONFIGS / "verification" / "heated_walls.yaml", changes)
+    summary = mantle.run(case, tmp_path).summary
+    pressure = summary["interfaces"]["metal_cement"]["pressure_mean"]
+    assert pressure == pytest.approx(WALLS.states()[state].pressure, rel=1e-6, abs=1e-9)
+    assert "several steady states may exist, some of them unstable" in "; ".join(notes_of(summary))

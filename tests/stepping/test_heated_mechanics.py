@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,8 +16,10 @@ from dolfinx import fem, mesh
 
 from app.foundation.arrays import Floats
 from app.numerics.newton import NewtonResult
+from app.results import verdicts
 from app.scene.scene import Stage
 from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
+from tests import support
 from tests.cases import laws
 from tests.cases.heated import cure
 
@@ -142,7 +146,7 @@ def solved_after(heat: Heat, load: Load) -> SolvedAfterHeat:
 def test_heated_mechanics_number_of_steps(
     limit: float, warming: float, cure_change: float, steps: int
 ) -> None:
-    """Steps change the temperature, or the adiabatic rise by cure, by the limit at most."""
+    """A step changes the temperature, or the adiabatic rise by cure, at most by the limit."""
     heat, load = Heat(0.0, limit), Load()
     mechanics = solved_after(heat, load)
     heat.T[0, 7] += warming
@@ -152,7 +156,7 @@ def test_heated_mechanics_number_of_steps(
 
 
 def test_heated_mechanics_load_is_linear_between_states() -> None:
-    """T = T_0 + s ΔT and a = a_0 + s Δa at times t = s t_1, separately for each body."""
+    """Each body has the load T = T_0 + s ΔT and a = a_0 + s Δa at times t = s t_1."""
     heat, load = Heat(0.1), Load()
     mechanics = solved_after(heat, load)
     stem_rise, cement_rise = np.linspace(0.0, 40.0, 8), np.linspace(5.0, -10.0, 8)
@@ -169,10 +173,10 @@ def test_heated_mechanics_load_is_linear_between_states() -> None:
 
 
 def test_heated_mechanics_free_strain_grows_from_gelation_on() -> None:
-    """e = α_T (T - T_gel) - S/3 at full cure; zero before gelation, then linear in the step.
+    """At full cure e = α_T (T - T_gel) - S/3.
 
-    The degree of cure grows from 0 to 1, so that the cement gels in the middle of the step at the
-    mean temperature.
+    The strain is zero before gelation, then linear in the step. The degree of cure grows from 0 to
+    1, so the cement gels in the middle of the step at the mean temperature.
     """
     heat, load = Heat(0.0, mechanical_step=15.0), Load()
     mechanics = solved_after(heat, load)
@@ -187,7 +191,7 @@ def test_heated_mechanics_free_strain_grows_from_gelation_on() -> None:
 
 
 def test_heated_mechanics_free_strain_adds_up_without_solves() -> None:
-    """e = α_T ΔT - S/3 Δa / (1 - a_gel) of a solid, over heat steps too small for a solve."""
+    """Heat steps too small for a solve add up to e = α_T ΔT - S/3 Δa / (1 - a_gel) of a solid."""
     heat, load = Heat(0.6, mechanical_step=1e3), Load()
     mechanics = solved_after(heat, load)
     for n, (warming, cure_change) in enumerate([(10.0, 0.1), (30.0, 0.0), (-15.0, 0.3)]):
@@ -281,3 +285,75 @@ def test_heated_mechanics_in_one_system_commits_each_heat_step(has_history: bool
     else:
         assert load.commits == [(0.2, False), (0.5, True), (0.5, True)]
         assert load.paths == []
+
+
+# A ring that sets around a frictionless rigid core, all at body temperature.
+RING = """
+geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 1.5 mm, bone_thickness: 1.5 mm,
+           length: 1.5 mm, sector: quarter}
+mesh: {size: 1.5 mm, far_size: 1.5 mm, order: 1}
+regions:
+  stem: {rigid: true, thermal: &heat {conductivity: 0.4 W/(m K), density: 1000 kg/m^3,
+    specific_heat: 1500 J/(kg K), initial_temperature: 37 degC}}
+  cement: &ring {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
+  bone: *ring
+interfaces:
+  stem_cement: {kind: contact, friction_coefficient: 0}
+  cement_bone: {kind: bonded}
+supports:
+  core: {kind: fixed, boundary: stem_top}
+  symmetry_x: {kind: roller, boundary: symmetry_x, axis: x}
+  symmetry_y: {kind: roller, boundary: symmetry_y, axis: y}
+  bottom: {kind: roller, boundary: bottom, axis: z}
+stages:
+  - {name: set, duration: 600 s}
+output: {fields: false}
+"""
+RING_SHRINKAGE = 0.03  # by volume
+RING_GEL = 0.4  # degree of cure at gelation
+FLOOR = 0.1  # part of the modulus at gelation
+POWER = 2.0  # exponent of the modulus
+SET = [
+    f"""regions.{region}.thermal={{conductivity: 0.4 W/(m K), density: 1000 kg/m^3,
+    specific_heat: 1500 J/(kg K), initial_temperature: 37 degC,
+    cure: {{kinetics: {{kind: prescribed, rate: [[0 s, 1], [600 s, 1]]}}, heat: 7.5e7 J/m^3,
+    initial: 0, gel: {RING_GEL}, floor: {FLOOR}, exponent: {POWER},
+    shrinkage: {RING_SHRINKAGE}}}}}"""
+    for region in ("cement", "bone")
+]
+BATH = "heat={bath: {kind: temperature, regions: [stem, cement, bone], temperature: 37 degC}}"
+SHRUNK = [
+    "stages=[{name: shrink}]",
+    "regions.stem={rigid: true}",
+    *(f"regions.{r}.eigenstrains=[{{strain: {-RING_SHRINKAGE / 3}}}]" for r in ("cement", "bone")),
+]
+
+
+def solve(folder: Path, *overrides: str) -> Any:
+    """The summary of the ring, changed."""
+    return support.run(RING, Path(tempfile.mkdtemp(dir=folder)), *overrides).summary
+
+
+def pressure(summary: Any) -> float:
+    return float(summary["interfaces"]["stem_cement"]["pressure_mean"])
+
+
+def test_heated_mechanics_pressure_of_shrinking_cement(tmp_path: Path) -> None:
+    """The pressure is that of the set ring times the mean of its modulus since gelation."""
+    exact = pressure(solve(tmp_path, *SHRUNK)) * (FLOOR + (1 - FLOOR) / (POWER + 1))
+    errors = []
+    for step in (10, 2.5):
+        summary = solve(tmp_path, *SET, BATH, f"time={{mechanical_step: {step} K}}")
+        errors.append(abs(pressure(summary) / exact - 1))
+        assert all(summary["balance"][k] < limit for k, limit in verdicts.BALANCES.items())
+    # From gelation to full cure the heat is that of 30 K: some 3 and 12 steps; second order.
+    assert errors[-1] < 5e-3
+    assert errors[0] / errors[-1] > 8
+
+
+def test_heated_mechanics_heat_balance_with_rounding(tmp_path: Path) -> None:
+    """A cure that begins at 0 has a first step of 1e-7 s, which warms by 1e-8 K."""
+    alone = ("interfaces.stem_cement.conductance=0 W/(m^2 K)", "stages.0.duration=1 s")
+    summary = support.run(RING, tmp_path, *SET, *alone).summary
+    assert summary["balance"]["heat"] < 1e-7
+    assert not verdicts.reasons_not_to_use(summary)

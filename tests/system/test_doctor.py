@@ -1,4 +1,4 @@
-"""The doctor tells what is there, what is not, and which BLAS is really loaded."""
+"""The doctor reports present and missing parts, and the loaded BLAS."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def parts_in_process(**environ: str) -> dict[str, str]:
 
 
 def test_identity_includes_the_kernel_of_the_blas() -> None:
-    """Every processor of this kind has that of Nehalem; nothing else changes by it."""
+    """Every processor of this kind has the kernel of Nehalem. Nothing else depends on it."""
     usual = parts_in_process()
     if "OpenBLAS" not in usual["blas"] or sys.platform != "linux":
         pytest.skip("another BLAS")

@@ -1,4 +1,4 @@
-"""Starting ranks: what -n means, and what of mpirun's words reaches the user."""
+"""Start of ranks: the option -n, and the output of mpirun that reaches the user."""
 
 from __future__ import annotations
 

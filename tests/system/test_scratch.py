@@ -1,4 +1,4 @@
-"""The folder of a run for what goes with it: cleared away, whoever is killed."""
+"""The folder for temporary files of a run, which is removed whichever process is killed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Seconds by phase: what belongs to whom, and by which clock."""
+"""Seconds by phase, by wall clock and processor clock."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tests import support
 
 
 class Clock:
-    """Stands in for the two clocks: the wall's goes twice as fast."""
+    """Replaces the two clocks. The wall's is twice as fast."""
 
     now = 0.0
 
@@ -55,11 +55,12 @@ def test_timing_nested_phases_are_separate(monkeypatch: pytest.MonkeyPatch) -> N
     assert t.cpu == {"output": 65, "compile": 260, "solve": 16}
     assert t.seconds == {name: 2 * cpu for name, cpu in t.cpu.items()}
     t.clear()
-    assert t.cpu == t.seconds == {}
+    assert t.cpu == {}
+    assert t.seconds == {}
 
 
 def test_timing_peak_memory_is_that_of_arrays() -> None:
-    """In a separate process, which begins with little memory."""
+    """A separate process begins with little memory."""
     code = (
         "import numpy as np; from app.system import timing; before = timing.peak_memory();"
         "size = int(before + 100); assert np.ones((size, 125_000)).nbytes == size * 1e6;"

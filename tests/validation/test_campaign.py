@@ -54,7 +54,10 @@ def test_campaign_places_runs_by_part_condition_and_sample() -> None:
 
 
 def test_campaign_predicts_value_mesh_and_band(tmp_path: Path) -> None:
-    """Friction of the nominal runs, 1 % by the coarser mesh, ranges of the samples."""
+    """The value is friction of the nominal runs.
+
+    The coarser mesh adds 1 %, and the samples give ranges.
+    """
     results = [pushed(run, tmp_path / str(k)) for k, run in enumerate(RUNS)]
     predicted = campaign.predict(PUSH_OUT, results)
     clean = predicted["clean"]
@@ -106,7 +109,7 @@ def test_campaign_writes_numbers_of_predictions_and_measurements(tmp_path: Path)
 def test_campaign_runs_an_experiment_coarsely_and_reproduces_its_prediction(
     tmp_path: Path,
 ) -> None:
-    """The nominal runs of a quick tier; a second time nothing is solved."""
+    """The nominal runs are of a quick tier. A second call solves nothing."""
     options = Options(tmp_path, 1, "push_out", "quick")
     assert campaign.run(options, record=False)
     entries = json.loads((tmp_path / "validate.json").read_text())

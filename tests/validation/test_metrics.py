@@ -43,10 +43,11 @@ def test_metrics_area_of_a_single_value_is_the_mean_distance() -> None:
 
 
 def test_metrics_area_of_shifted_distributions_is_the_shift() -> None:
-    """Even samples of 0 to 1 against an even range of 5 to 6; two samples against a normal one.
+    """Uniform samples of 0 to 1 are compared with a uniform range of 5 to 6.
 
-    In the last case both samples are the measured value. The difference of quantiles is c - u z on
-    the lower half, so its mean is u times the mean of |z|, which is u sqrt(2 / pi).
+    Two samples are compared with a normal distribution. Both samples of the last case are the
+    measured value. The difference of quantiles is c - u z on the lower half, so its mean is u times
+    the mean of |z|, which is u sqrt(2 / pi).
     """
     count = 2000
     even = prediction([(k + 0.5) / count for k in range(count)])

@@ -1,4 +1,4 @@
-"""Files of predictions and measurements: complete, of the present inputs, faults in one line."""
+"""Files of predictions and measurements: complete, of present inputs, errors in one line."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LEAST_BLIND = 20
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder in place of the manual's."""
+    """A folder that replaces the manual's."""
     monkeypatch.setattr(records, "PREDICTIONS", tmp_path / "predictions.json")
     monkeypatch.setattr(records, "MEASURED", tmp_path / "measured.json")
     return tmp_path

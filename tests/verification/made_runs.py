@@ -16,7 +16,7 @@ from app.verification.problem import Row, SolvedRun, run
 def judged(
     monkeypatch: pytest.MonkeyPatch, name: str, pattern: str, runs: Sequence[Any], folder: Path
 ) -> Row:
-    """The row of the one problem of a suite with a pattern in its name, by these runs."""
+    """The row of the one problem of a suite with a pattern in its name, for these runs."""
 
     def solved(problems: Iterable[suite.PlannedProblem], *_: object, **__: object) -> None:
         for planned in problems:

@@ -1,4 +1,4 @@
-"""Meshes changed on purpose: rotated, scaled, mirrored, badly shaped."""
+"""Changed meshes: rotated, scaled, mirrored, badly shaped."""
 
 from __future__ import annotations
 

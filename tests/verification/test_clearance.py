@@ -1,4 +1,4 @@
-"""A clearance is part of the geometry: it is there from the start, whatever the increments.
+"""A clearance is part of the geometry: it is there from the start, for any increments.
 
 An interference is not: bodies that overlap are pushed into each other through the first stage.
 """
@@ -35,7 +35,7 @@ def test_clearance_gap_over_the_stages() -> None:
 
 
 def test_clearance_hertz_contact_grows_with_its_load() -> None:
-    """Half-width a = sqrt(4 P R / (π E*)) at every increment (Johnson, section 4.2)."""
+    """The half-width is a = sqrt(4 P R / (π E*)) at every increment (Johnson, section 4.2)."""
     size, increments = 0.1, 4
     this = case("hertz_line", f"mesh.size={size} mm", "stages=[{name: press, increments: 4}]")
     steps = support.solve(this).samples
@@ -57,7 +57,7 @@ def pressed_aside(tagged: TaggedMesh, *overrides: str) -> support.Solved:
 
 
 def test_clearance_in_one_stage_equals_clearance_first(half_planes: TaggedMesh) -> None:
-    """Loads in one stage, or after a stage that brings nothing but the clearance."""
+    """Loads act in one stage, or after a stage that closes only the clearance."""
     one = pressed_aside(
         half_planes,
         "stages=[{name: load, increments: 3}]",
@@ -79,8 +79,10 @@ def test_clearance_in_one_stage_equals_clearance_first(half_planes: TaggedMesh) 
 
 
 def test_clearance_constant_oblique_force_does_not_slip(half_planes: TaggedMesh) -> None:
-    """Q/P = const < μ: points that come into touch stick from then on, though the same Q after P
-    lets a rim slip (Mindlin and Deresiewicz 1953; Johnson, section 7.3)."""
+    """A constant Q/P < μ makes points stick from their first contact on.
+
+    The same Q after P lets a rim slip (Mindlin and Deresiewicz 1953; Johnson, section 7.3).
+    """
     oblique = pressed_aside(
         half_planes,
         "stages=[{name: load, increments: 4}]",
@@ -114,7 +116,7 @@ stages: [{name: push, increments: 2}]
 
 @pytest.mark.parametrize("kind", ["contact", "penalty"])
 def test_clearance_of_a_block_is_closed(kind: str) -> None:
-    """It closes the gap g at the first load, then both blocks shorten by p h/E."""
+    """The gap g closes at the first load. Then both blocks shorten by p h/E."""
     law = "{kind: penalty, penalty: 1.0e4 MPa/mm, friction_coefficient: 0.3, gap: 0.1 mm}"
     change = (f"interfaces.base_lid={law}",) if kind == "penalty" else ()
     solved = support.solve(APART, *change)
@@ -128,7 +130,7 @@ def test_clearance_of_a_block_is_closed(kind: str) -> None:
 
 
 def test_clearance_contact_on_a_foundation() -> None:
-    """The bed gives way by p/k, the blocks shorten by p h/E each, and p is what they bear."""
+    """The bed gives way by p/k, and each block shortens by p h/E under the pressure p."""
     bed = "{kind: foundation, boundary: bottom, stiffness: [10 MPa/mm, 10 MPa/mm, 20 MPa/mm]}"
     solved = support.solve(APART, "interfaces.base_lid.gap=0 mm", f"supports={{bed: {bed}}}")
     assert solved.last.pressure == pytest.approx(5.0)

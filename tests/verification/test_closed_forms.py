@@ -1,6 +1,6 @@
 """References of the verification suite, against other formulas and their equations.
 
-Displacement fields are differentiated numerically: nothing of their derivation is used twice.
+Displacement fields are differentiated numerically, so no step of their derivation is used twice.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ from app.verification import closed_forms as exact
 from tests.verification.differences import STEP, slope
 
 CASES = Path(__file__).resolve().parents[2] / "configs" / "verification"
-CEMENT, STEM = (2200.0, 0.3), (110e3, 0.3)
+# Young's modulus [MPa] and Poisson's ratio.
+CEMENT = (2200.0, 0.3)
+STEM = (110e3, 0.3)
 
 Field = Callable[[np.ndarray], np.ndarray]
 
@@ -113,7 +115,10 @@ def test_closed_forms_compliance_of_a_fibrous_material() -> None:
     ("u", "case"), [(flamant, "hertz_line.yaml"), (boussinesq, "hertz_ball.yaml")]
 )
 def test_closed_forms_far_fields_of_a_half_space(u: Callable, case: str) -> None:
-    """Equilibrium, no traction on z = 0, the load below; the case prescribes the same field."""
+    """The fields have equilibrium, no traction on z = 0, and the load below.
+
+    The case prescribes the same field.
+    """
 
     def field(x: np.ndarray) -> np.ndarray:
         return u(x, 100.0, CEMENT)
@@ -142,7 +147,7 @@ def test_closed_forms_far_fields_of_a_half_space(u: Callable, case: str) -> None
 
 
 def test_closed_forms_foundation_bar() -> None:
-    """Physics reference 5.5, and the work that the end does in a cycle."""
+    """Physics reference 5.5 gives the values, and the work of the end in a cycle."""
     bar = exact.FoundationBar(500, 6, 1.1e6)
     assert (bar.end, bar.residual, bar.cycle) == pytest.approx(
         (0.01893939, 0.00946970, 1.578283), rel=1e-6
@@ -155,7 +160,8 @@ def test_closed_forms_foundation_bar() -> None:
 
 PRESS_FITS = [(0.01, 7.0, 7.0 + t, STEM, CEMENT) for t in (2, 3, 4, 5, 7)]
 MODULUS = exact.contact_modulus(CEMENT)
-LINE, BALL = exact.hertz_line(100, 10, MODULUS), exact.hertz_point(100, 10, MODULUS)
+LINE = exact.hertz_line(100, 10, MODULUS)
+BALL = exact.hertz_point(100, 10, MODULUS)
 PENALTIES = {1e2: 6.875e-3, 1e3: 1.803e-3, 1e4: 2.153e-4, 1e5: 2.195e-5, 1e6: 2.2e-6, 1e8: 2.2e-8}
 
 
@@ -178,7 +184,7 @@ PENALTIES = {1e2: 6.875e-3, 1e3: 1.803e-3, 1e4: 2.153e-4, 1e5: 2.195e-5, 1e6: 2.
         ([BALL.a, BALL.p0, BALL.approach], [0.676955, 104.1889, 0.0458268], 2e-6),
         ([exact.stick_half_width(1.0, 0.5 * 0.3 * 50, 50, 0.3)], [math.sqrt(0.5)], 1e-12),
         ([exact.push_up(0.1, 0.3)], [0.412371], 2e-6),
-        # Physics reference 5.7; by trying all states: `soundness/test_uniqueness.py`.
+        # Physics reference 5.7; all states: `soundness/test_failure_critical_friction.py`.
         ([exact.particle_friction(1, w) for w in (0.8, -0.8)], [1.25, 1.25], 1e-14),
         (
             [exact.penalty_penetration(220, 0.01, r) for r in PENALTIES],
@@ -195,7 +201,10 @@ def test_closed_forms_reference_values(
 
 
 def test_closed_forms_cantilever_bar_has_known_limits() -> None:
-    """Torsion of a square and a strip (Timoshenko and Goodier, section 109); bending by hand."""
+    """Torsion is that of a square and a strip (Timoshenko and Goodier, section 109).
+
+    Bending is by hand.
+    """
     square, strip = exact.CantileverBar(1.0, 2.0, 2.0, 10.0), exact.CantileverBar(1.0, 100, 1, 10)
     assert square.torsion_constant() == pytest.approx(0.1406 * 2**4, rel=1e-3)
     assert strip.torsion_constant() == pytest.approx(100 / 3, rel=1e-2)
@@ -207,7 +216,7 @@ def test_closed_forms_cantilever_bar_has_known_limits() -> None:
 
 
 def test_closed_forms_press_out_moves_the_inner_surface_by_a_change_of_shear() -> None:
-    """The radial equation of a ring in plane stress, solved by finite differences."""
+    """Finite differences solve the radial equation of a ring in plane stress."""
     r, R, ν, n = 7.0, 17.0, 0.3, 1001
     x = np.linspace(r, R, n)
     h = x[1] - x[0]

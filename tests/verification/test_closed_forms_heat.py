@@ -1,6 +1,6 @@
 """References of the thermal verification, against other formulas and their equations.
 
-Fields are differentiated numerically and rates are integrated by other means than the references.
+Fields are differentiated numerically. Rates are integrated by other methods than in the references.
 """
 
 from __future__ import annotations
@@ -16,13 +16,15 @@ from app.verification import closed_forms_heat as exact
 from app.verification.closed_forms import Layers, lame_pressure
 from tests.verification.differences import slope
 
-CEMENT, CORTICAL = (0.2, 1.74), (0.58, 2.331)
+# Conductivity [mW/(mm K)] and heat capacity [mJ/(mm3 K)].
+CEMENT = (0.2, 1.74)
+CORTICAL = (0.58, 2.331)
 PMMA = exact.ExactKinetics(2.6397e8, 62866.0, 0.98, 1.064)
 RISE = 89.0805
 
 
 def test_closed_forms_heat_bars_and_rings_with_a_resistance() -> None:
-    """Physics reference 5.8 and 5.9; 1 W/m2 is 1e-3 N/(mm s)."""
+    """Physics reference 5.8 and 5.9 give the values; 1 W/m2 is 1e-3 N/(mm s)."""
     q, hot, cold = exact.two_bars(100, 37, (5 / 0.2, 5 / 0.58), 0.3)
     assert (q, hot, cold) == pytest.approx((1.704821, 57.3795, 51.6967), rel=1e-6)
     Q, hot, cold = exact.two_rings(100, 37, (10, 14, 18), (0.2, 0.58), 0.5)
@@ -43,7 +45,10 @@ def test_closed_forms_heat_perfused_slab() -> None:
 
 
 def test_closed_forms_heat_cooling_cylinder() -> None:
-    """Physics reference 5.10; the heat equation; the wall."""
+    """Physics reference 5.10 gives the values.
+
+    The heat equation and the condition at the wall hold.
+    """
     centre = [
         exact.cooling_cylinder(np.zeros(1), t, 10, CEMENT, 100, 37)[0] for t in (60, 100, 300)
     ]
@@ -64,14 +69,14 @@ def test_closed_forms_heat_cooling_cylinder() -> None:
 def test_closed_forms_heat_contact_temperature(
     other: tuple[float, float], temperature: float
 ) -> None:
-    """Physics reference E13: cement at 100 degC on cortical bone, Ti, CoCr, cancellous bone."""
+    """Physics reference E13 has cement at 100 degC on cortical bone, Ti, CoCr, cancellous bone."""
     spaces = exact.HalfSpaces(CEMENT, other, (100, 37))
     assert spaces.contact == pytest.approx(temperature, abs=0.05)
     assert spaces.temperature(np.zeros(1), 3.0, False)[0] == pytest.approx(spaces.contact)
 
 
 def half_spaces(h: float) -> Callable[[float, float, bool], float]:
-    """Temperature at a place, a time and in a body; the formulas hold beyond their bodies too."""
+    """Temperature at a place, at a time, in a body. The formulas hold beyond their bodies too."""
     spaces = exact.HalfSpaces(CEMENT, CORTICAL, (100, 37), h)
     return lambda x, t, first: float(spaces.temperature(np.array([x]), t, first)[0])
 
@@ -98,9 +103,10 @@ def test_closed_forms_heat_interface_of_half_spaces(h: float) -> None:
 
 
 def test_closed_forms_heat_frictional_heating() -> None:
-    """Physics reference 5.12: 75 kW/m2 for 10 s between cement and cortical bone.
+    """Physics reference 5.12 has 75 kW/m2 for 10 s between cement and cortical bone.
 
-    Shared by effusivity e, both half-spaces are as hot at their surface; what has entered is there.
+    Shares by effusivity e give both half-spaces the same surface temperature. Their stored heat is
+    the heat that has entered.
     """
     e, f = exact.effusivity(CEMENT), exact.effusivity(CORTICAL)
     assert e / (e + f) == pytest.approx(0.34, abs=0.005)
@@ -135,7 +141,7 @@ def test_closed_forms_heat_adiabatic_cure() -> None:
 
 
 def test_closed_forms_heat_isothermal_cure() -> None:
-    """Logistic at a held temperature (physics reference 3.1)."""
+    """The course at a held temperature is logistic (physics reference 3.1)."""
     law = exact.ExactKinetics(2.6397e8, 62866.0, 1, 1)
     k = 4 * law.rate(0.5, 310.15)
     assert k == pytest.approx(6.82396e-3, rel=1e-6)
@@ -144,11 +150,14 @@ def test_closed_forms_heat_isothermal_cure() -> None:
     assert 1 / (1 + (1 / 1e-3 - 1) * math.exp(-k * t50)) == pytest.approx(0.5, rel=1e-9)
 
 
-STEM, MANTLE, BONE = (200e3, 0.3), (2200.0, 0.3), (17e3, 0.3)
+# Young's modulus [MPa] and Poisson's ratio.
+STEM = (200e3, 0.3)
+MANTLE = (2200.0, 0.3)
+BONE = (17e3, 0.3)
 
 
 def cooled(joined: tuple[bool, bool]) -> Layers:
-    """Physics reference 3.2: the cement shrinks by 40 K times 80e-6."""
+    """Cement that shrinks by 40 K times 80e-6 (physics reference 3.2)."""
     return Layers((6, 10, 15), (STEM, MANTLE, BONE), (0, -80e-6 * 40, 0), joined)
 
 
@@ -171,14 +180,14 @@ def test_closed_forms_heat_unilateral_cylinders_cooled() -> None:
 
 
 def test_closed_forms_heat_swelling_core_is_a_press_fit() -> None:
-    """Lamé's interference δ is a free strain of the core of δ / (1 + ν) b."""
+    """Lamé's interference δ is a free strain of the core of δ / ((1 + ν) b)."""
     layers = Layers((7, 10), (STEM, MANTLE), (0.01 / 1.3 / 7, 0), (True,))
     pressure = lame_pressure(0.01, 7, 10, STEM, MANTLE)
     assert -layers.state_at(0, 7)[1] == pytest.approx(pressure, rel=1e-12)
 
 
 def test_closed_forms_heat_hot_fit_uses_mean_temperature() -> None:
-    """By quadrature of the logarithmic profile."""
+    """The mean is a quadrature of the logarithmic profile."""
     b, c, k, h = 7.0, 10.0, 0.4, 0.3
     core, ring = (STEM, 14e-6), (MANTLE, 27.5e-6)
     value = exact.hot_fit_pressure((b, c), core, ring, k, h, (80, 37, 37))
@@ -195,7 +204,7 @@ def test_closed_forms_heat_hot_fit_uses_mean_temperature() -> None:
 
 
 def test_closed_forms_heat_heated_walls_have_one_or_three_states() -> None:
-    """Every state balances heat and length; the cold bar that expands more makes several."""
+    """Every state balances heat and length. A cold bar that expands more makes several states."""
     unique = exact.HeatedWalls(
         (5, 5), (2200, 17000), (80e-6, 27.5e-6), (0.2, 0.58), 0.1, 0.1, 0.0, (60, 37, 37)
     )

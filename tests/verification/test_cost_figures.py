@@ -1,4 +1,4 @@
-"""`mantle bench`: figures from made-up runs, and the cases that are run."""
+"""`mantle bench`: figures from made-up runs, and its cases."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def made(
     slip: tuple[float, float] = (1.0, 1.0),
     **more: Any,
 ) -> Any:
-    """A run of this cost."""
+    """A run with this cost."""
     summary = {
         "solver": {"dofs": unknowns, "newton_iterations": newton, "linear_iterations": 10 * newton},
         "cpu": {"assemble": 0.2 * solution, "solve": 0.8 * solution, "mesh": 7.0, "output": 3.0},
@@ -94,7 +94,7 @@ def test_cost_figures_repeat_cheap_runs(goals: dict[str, PlannedProblem]) -> Non
 
 
 def test_cost_figures_goals_run_valid_cases(goals: dict[str, PlannedProblem]) -> None:
-    """Each can be read, and is of the kind that its goal says."""
+    """Each case can be read, and is of the kind of its goal."""
     for name, planned in goals.items():
         assert planned.runs
         for run in planned.runs:

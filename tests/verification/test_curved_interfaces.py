@@ -1,8 +1,7 @@
-r"""Contact on curved cells: jumps between the nodes follow the surface, and rigid motions.
+r"""Contact on curved cells: jumps between the nodes follow the surface and rigid motions.
 
-Lamé's shrink fit of a solid core in a ring (plane strain, no friction) has the same pressure
-everywhere; flat facets and jumps that are linear component by component scatter it at first and
-second order.
+Lamé's shrink fit of a solid core in a ring (plane strain, no friction) has uniform pressure. Flat
+facets scatter it at first order, and jumps linear by component at second order.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ def test_curved_interfaces_shrink_fit_is_uniform(size: float, off: float, scatte
 
 
 def test_curved_interfaces_circle_of_three_facets_is_one_face() -> None:
-    """A circle of three facets is one face, where flat facets would meet at 30 degrees."""
+    """A circle of three facets is one face. Flat facets would meet at 30 degrees."""
     result = support.solve(SHRINK_FIT.format(size=6.0, length=4, taper=1), balances=True)
     j = result.problem.contact
     assert (j.local.faces == 1).all()
@@ -69,7 +68,10 @@ def test_curved_interfaces_force_equals_the_load() -> None:
 
 
 def test_curved_interfaces_rigid_motions_and_widening_are_exact() -> None:
-    """Jumps of a linear field, on edges in the plane of motion and widening: round the stem."""
+    """Jumps are those of a linear field on edges in the plane of motion.
+
+    A widening goes around the stem.
+    """
     alone = ("geometry.taper=0 deg", "interfaces.cement_bone={kind: bonded}")
     problem, _ = support.assemble(support.case(support.STEM, *COARSE, *alone))
     j = problem.contact

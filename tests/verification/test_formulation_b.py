@@ -173,7 +173,7 @@ def compare(a: State, b: State) -> dict[str, float]:
 
 
 def sums(steps: list[InterfaceState]) -> tuple[Floats, Floats]:
-    """Accumulated slip where the step ends in contact, and dissipation, by vertex number."""
+    """Accumulated slip if the step ends in contact, and dissipation, by vertex number."""
     slip = work = np.zeros(len(steps[0].vertex))
     for s in steps:
         p = -np.sum(s.force * s.normal, axis=1)
@@ -185,7 +185,7 @@ def sums(steps: list[InterfaceState]) -> tuple[Floats, Floats]:
 
 
 def smallest(state: State) -> float:
-    """A jump that counts as none: where nothing moves, jumps are rounding errors."""
+    """A jump that counts as zero, because jumps at rest are rounding errors."""
     return 1e-6 * max(float(np.abs(values).max()) for _, values in state.displacement.values())
 
 

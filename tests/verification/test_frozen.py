@@ -1,4 +1,4 @@
-"""The shipped cases give the numbers that they gave (`tests/frozen.py`)."""
+"""The shipped cases give the frozen numbers (`tests/frozen.py`)."""
 
 from __future__ import annotations
 

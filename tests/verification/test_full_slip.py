@@ -49,7 +49,7 @@ PENALTY = "kind: penalty, penalty: 2.0e4 MPa/mm"
     ],
 )
 def test_full_slip_gives_the_friction_coefficient(push: float, taper: float, law: str) -> None:
-    """|shear| / pressure = μ at every slipping point, and the shear resists the motion."""
+    """Each slipping point has |shear| / pressure = μ, and the shear resists the motion."""
     result = support.solve(PUSH.format(push=push, taper=taper, law=law), balances=True)
     s = result.last
     down = np.sign(push)

@@ -59,7 +59,10 @@ def test_geometry_regions_are_connected_and_touch(thickness: float) -> None:
 
 
 def test_geometry_thickness_is_reported() -> None:
-    """As thick as asked for where there is room, and no room in more than half of the canal."""
+    """Mantles have the given thickness where there is room.
+
+    More than half of the canal has no room.
+    """
     notes = femur(4.0).notes
     thickness = notes["mantle"]["thickness"]
     assert thickness["nominal"] == 4.0
@@ -75,7 +78,7 @@ def test_geometry_thickness_is_reported() -> None:
 
 @pytest.mark.parametrize("widening", [0.0, 5.0])
 def test_geometry_thinnest_cortex_is_that_between_surfaces(widening: float) -> None:
-    """Of points on them, half a millimetre apart: reaming leaves 2.5 mm, but radially."""
+    """Points on both surfaces are half a millimetre apart. Reaming leaves 2.5 mm, but radially."""
     geometry = Femur(canal_widening=f"{widening} mm")
     data = meshes.build(geometry, MeshOptions(size="6 mm"))
     theta, z = np.meshgrid(np.radians(np.arange(0, 360, 2)), np.arange(-118.0, 0.0, 0.5))
@@ -92,7 +95,10 @@ def test_geometry_thinnest_cortex_is_that_between_surfaces(widening: float) -> N
 def test_geometry_metaphyseal_cortex_has_the_given_thickness(
     kind: type[Any], cortex: float
 ) -> None:
-    """Of the vertices of the endosteum, radially; in the shaft they are on the table's."""
+    """The thickness is radial at vertices of the endosteum.
+
+    Those in the shaft are on the table's surface.
+    """
     data = meshes.build(kind(metaphyseal_cortex=f"{cortex} mm"), MeshOptions(size="8 mm"))
     assert quality.quality_without_length(data.points, data.cells).min() > 0.08
     cell, face, behind = data.between
@@ -106,10 +112,11 @@ def test_geometry_metaphyseal_cortex_has_the_given_thickness(
 
 
 def test_geometry_stems_of_the_thickness_sweep_share_a_cavity() -> None:
-    """To the difference of 1 / cos of the taper: 2 mm times 0.0009."""
+    """Cavities agree to the difference of 1 / cos of the taper: 2 mm times 0.0009."""
     _, planned = sweep.read(Path(__file__).parents[2] / "configs/sweeps/thickness.yaml")
     shared = [c.case.geometry for c in planned if c.point.part == "cavity"]
-    assert len({g.cement_thickness for g in shared}) == len(shared) == 4
+    assert len({g.cement_thickness for g in shared}) == 4
+    assert len(shared) == 4
     for z in (-118.0, -50.0, 20.0):
         outlines = [
             femur_stem.shaft_of(g.implant).offset(g.cement_thickness).section(z) for g in shared
@@ -118,7 +125,7 @@ def test_geometry_stems_of_the_thickness_sweep_share_a_cavity() -> None:
 
 
 def test_geometry_plug_fills_the_canal_below_the_tip() -> None:
-    """The volume is that of the canal over its length: 7 mm of stem and cement find 6.2."""
+    """The volume is that of the canal over its length: 7 mm of stem and cement have room of 6.2."""
     geometry, plug = Femur(), femur(4.0).notes["mantle"]["plug_volume"]
     tip, height = geometry.implant.tip_z, geometry.implant.tip_rounding
     low, high = tip - geometry.plug_length, tip + height
@@ -173,7 +180,7 @@ def test_geometry_patches_are_at_muscles_and_head() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("thickness", [2.0, 7.0])
 def test_geometry_fine_meshes_of_thin_and_thick_mantles(thickness: float) -> None:
-    """Cells follow the size in every direction, a cube each, but where layers have one at least."""
+    """Cells are cubes of the given size, except that each layer has at least one cell."""
     data, coarse = femur(thickness, 1.5), femur(thickness, 6.0)
     assert 0.5 * 64 < len(data.cells) / len(coarse.cells) < 64
     assert quality.quality_without_length(data.points, data.cells).min() > 0.08

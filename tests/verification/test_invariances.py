@@ -44,7 +44,7 @@ def reference() -> Solved:
 
 
 def assert_same(one: Solved, other: Solved, factor: float = 1.0) -> None:
-    """All of every point after every step is in proportion, to a fraction of the maximum."""
+    """All values of every point and step are proportional, to a fraction of the maximum."""
     assert len(one.samples) == len(other.samples)
     for a, b in zip(one.samples, other.samples, strict=True):
         np.testing.assert_array_equal(a.status, b.status)
@@ -60,7 +60,10 @@ def assert_same(one: Solved, other: Solved, factor: float = 1.0) -> None:
 
 @pytest.mark.parametrize("factor", [1e-2, 100.0])
 def test_invariances_augmentation_changes_no_result(reference: Solved, factor: float) -> None:
-    """r from 1e-2 to 100 times its default; where it is too large it is lowered by itself."""
+    """The r goes from 1e-2 to 100 times its default.
+
+    The solver lowers a value that is too large.
+    """
     r = reference.case.solver.augmentation_factor * factor
     other = support.solve(
         STEM, f"solver.augmentation_factor={r!r}", tagged=reference.tagged, balances=True
@@ -81,7 +84,7 @@ def test_invariances_given_augmentation_is_used() -> None:
 
 
 def test_invariances_balances_close(reference: Solved) -> None:
-    """Force, moment and energy after every step, the energy with friction there and back."""
+    """Force, moment and energy close after every step, with friction in both directions."""
     assert reference.balances.shape == (4, 3)
     assert reference.balances.max() < 1e-8
     for q in reference.interfaces.values():
@@ -97,7 +100,10 @@ def test_invariances_balances_close(reference: Solved) -> None:
 
 @pytest.mark.parametrize("factor", [1e-3, 50.0])
 def test_invariances_results_scale_with_the_load(reference: Solved, factor: float) -> None:
-    """Linear bodies, no initial gap, Coulomb: everything is proportional to the load."""
+    """Bodies are linear, without an initial gap, and friction is Coulomb's.
+
+    Results are proportional to the load.
+    """
     overrides = [
         f"loads.push.force=[0 N, 0 N, {-900 * factor!r} N]",
         f"loads.lateral.force=[{900 * factor!r} N, {600 * factor!r} N, 0 N]",
@@ -148,7 +154,7 @@ def test_invariances_balances_with_every_kind_of_load(kind: str, order: int) -> 
 
 
 def changed(data: MeshData, R: Floats) -> MeshData:
-    """A mesh turned or mirrored by an orthogonal matrix, with the same numbers of its nodes."""
+    """A mesh rotated or mirrored by an orthogonal matrix, with the same numbers of nodes."""
     cells = data.cells
     if np.linalg.det(R) < 0:
         # Corners 0 and 1 change places, and with them the middles of the edges at them.
@@ -168,7 +174,10 @@ def changed(data: MeshData, R: Floats) -> MeshData:
 def test_invariances_numbers_are_independent_of_axes(
     R: Floats, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A peg in a socket, with edges and corners, under loads: every number of its interface."""
+    """A peg in a socket, with edges and corners, is under loads.
+
+    Every number of its interface is equal.
+    """
     monkeypatch.setenv(ALLOWED, "1")
     (tmp_path / "peg.geo").write_text(PEG_MESH)
     sides = "interfaces: {peg_socket: [socket, peg]}"
@@ -212,7 +221,7 @@ COARSE = {"blocks": "3 mm", "cylinders": "3 mm", "variations": "4 mm", "creep_ta
 
 
 def moved(scene: Scene, Q: Floats) -> Scene:
-    """A scene turned or mirrored by an orthogonal matrix (3, 3), but for its supports."""
+    """A scene rotated or mirrored by an orthogonal matrix (3, 3), except for its supports."""
 
     def vector(v: Any) -> Any:
         return v and tuple((Q @ v).tolist())
@@ -253,7 +262,7 @@ def moved(scene: Scene, Q: Floats) -> Scene:
 def test_invariances_shipped_cases_are_independent_of_axes(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Turned by an odd angle and mirrored, a hip has every number of its interfaces."""
+    """A hip rotated by an odd angle and mirrored has equal numbers of its interfaces."""
     size = f"mesh.size={COARSE.get(name, '10 mm')}"
     case = load(support.ROOT / "configs" / f"{name}.yaml", [size, "solver.tolerance=1e-12"]).config
     data, scene = meshes.build(case.geometry, case.mesh, None), build_scene(case)

@@ -1,60 +1,19 @@
-"""A law, a load and quantities that another package adds, without touching a file."""
+"""A law of a user's package, without a change of the program."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 import mantle
-from app.case import quantities
 from tests import support
-
-# All that it takes: its keys in YAML and its formula.
-LAYER = '''
-from typing import Literal
-from mantle import Traction
-from app.laws.values import StiffnessField
-
-
-class ElasticLayer(Traction):
-    """A thin elastic layer: traction = stiffness times the displacement between its sides."""
-
-    kind: Literal["elastic_layer"] = "elastic_layer"
-    stiffness: StiffnessField
-    """Traction per displacement."""
-
-    def traction(self, point):
-        return self.stiffness * point.gap_vector
-'''
-
-# Two blocks of 2 mm on each other, and a shear and a pull on top.
-CASE = """\
-geometry: {kind: blocks, blocks: [{name: lower, size: [4 mm, 4 mm, 2 mm]},
-                                  {name: upper, size: [4 mm, 4 mm, 2 mm]}]}
-mesh: {order: 1, size: 2 mm}
-regions:
-  lower: {youngs_modulus: 2 GPa, poisson_ratio: 0, tissue: other}
-  upper: {youngs_modulus: 1 GPa, poisson_ratio: 0, tissue: other}
-interfaces:
-  lower_upper: {kind: elastic_layer, stiffness: 50 MPa/mm}
-supports: {base: {kind: fixed, boundary: bottom}}
-loads: {pull: {kind: pressure, boundary: top, pressure: -3 MPa}}
-"""
-
-
-def run(folder: Path, program: str, text: str, *more: str) -> tuple[dict[str, Any], str]:
-    """Run a case with a package of the user's: its summary, and its output."""
-    done = support.extended(folder, program, text, "run", "case.yaml", "-o", "out", *more)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return support.summary(folder / "out"), done.stdout
+from tests.cases.outside import CASE, LAYER, run
 
 
 def test_law_from_outside_is_solved_and_written(tmp_path: Path) -> None:
-    """A layer in tension: the gap is σ/k, whatever the blocks do; from YAML to the fields."""
+    """A layer in tension has the gap σ/k for any blocks. The test goes from YAML to the fields."""
     summary, _ = run(tmp_path, LAYER, CASE)
     interface = summary["interfaces"]["lower_upper"]
     assert interface["gap_mean"] == pytest.approx(3 / 50, rel=1e-9)
@@ -69,7 +28,7 @@ def test_law_from_outside_is_solved_and_written(tmp_path: Path) -> None:
 
 
 def test_law_from_outside_constants_vary_in_space(tmp_path: Path) -> None:
-    """A rigid block on a bed of springs k = 50 (1 + x/8): its tilt by hand; refused where k < 0."""
+    """A rigid block on springs k = 50 (1 + x/8) has its tilt by hand. A negative k is refused."""
     rigid = "upper: {rigid: true, tissue: other}"
     case = CASE.replace("50 MPa/mm", "50 * (1 + x / 8)").replace("size: 2 mm", "size: 1 mm")
     case = case.replace("upper: {youngs_modulus: 1 GPa, poisson_ratio: 0, tissue: other}", rigid)
@@ -149,7 +108,10 @@ class WornLayer(Traction):
 
 
 def test_law_from_outside_keeps_internal_variables(tmp_path: Path) -> None:
-    """Loading gives d1 = σ1/(k - σ1/l), unloading to σ2 on the worn line d2 = σ2 (1 + d1/l)/k."""
+    """Loading gives d1 = σ1/(k - σ1/l).
+
+    Unloading to σ2 on the damaged line gives d2 = σ2 (1 + d1/l)/k.
+    """
     k, length, high, low = 50.0, 0.2, 3.0, 1.0
     case = CASE.replace("elastic_layer, stiffness", "worn_layer, length: 0.2 mm, stiffness")
     case = case.replace("-3 MPa}", "-3 MPa, history: [1, 0.3333333333333333]}")
@@ -230,7 +192,7 @@ solver: {tolerance: 1.0e-12}
 
 
 def test_law_from_outside_breaks_by_given_energy_then_has_friction(tmp_path: Path) -> None:
-    """Traction falls linearly with the energy used, G A in all; then friction μ p."""
+    """Traction falls linearly with the used energy, G A in all. Friction μ p remains."""
     summary, _ = run(tmp_path, GLUE, TORN)
     record = mantle.read(tmp_path / "out").step_record
     used = np.asarray(record["lower_upper dissipation [N mm]"])
@@ -307,7 +269,7 @@ class ContactLayer(InterfaceLaw):
 
 
 def test_law_from_outside_layer_equals_compliance(tmp_path: Path) -> None:
-    """Pressed, pushed until parts slip and open, and pushed back: the same numbers."""
+    """Blocks are pressed, pushed until parts slip and open, and pushed back, with equal numbers."""
     assert CONTACT_LAYER.count("\n") <= 60
     push = "{kind: displacement, boundary: top, x: 0.04 mm, y: 0 mm, history: [0, 1, -0.2]}"
     press = "{kind: displacement, boundary: top, z: -0.01 mm, history: [1, 1, 0.4]}"
@@ -333,120 +295,3 @@ def test_law_from_outside_layer_equals_compliance(tmp_path: Path) -> None:
     for name in ("gap", "slip", "pressure", "shear", "status"):
         maps = [r.fields.at_interface("lower_upper", name) for r in runs]
         assert support.difference(*maps) < 1e-7
-
-
-# A traction over a boundary, which no load of the program is.
-WIND = '''
-from typing import Literal
-from mantle import Load
-from app.schema.units import Stress
-
-
-class Wind(Load):
-    """A uniform shear along x."""
-
-    kind: Literal["wind"] = "wind"
-    boundary: str
-    """Boundary of the geometry."""
-    shear: Stress
-    """Traction along x."""
-
-    def work(self, v, on):
-        ds = on.ds(self.boundary)
-        return 0 if ds is None else on.constant(self.shear) * v[0] * ds
-'''
-
-
-def test_load_from_outside_does_work(tmp_path: Path) -> None:
-    """The shear of the layer is that of the load, and the balances have its work."""
-    case = CASE.replace("kind: pressure", "kind: wind").replace("pressure: -3", "shear: 3")
-    summary, _ = run(tmp_path, LAYER + WIND, case)
-    interface = summary["interfaces"]["lower_upper"]
-    assert interface["shear_mean"] == pytest.approx(3, rel=0.05)
-    assert abs(interface["force"][0]) == pytest.approx(3 * 16, rel=1e-9)
-    assert all(summary["balance"][name] < 1e-9 for name in ("force", "moment", "energy"))
-
-
-# Quantities: what each is, and how it is computed.
-EXTENSION = '''
-import numpy as np
-from mpi4py import MPI
-from app.case.quantities import ORDER_OF_STRESS, Quantity, add_quantity
-
-
-def area_over(level):
-    """Area of an interface where the pressure exceeds a level [mm^2]."""
-    return lambda points, at: points.weight[at & (points.pressure > level)].sum()
-
-
-def strain_energy(stresses, region):
-    """Energy of the elastic strain of a region [N mm]."""
-    _, volumes = stresses.points_and_volumes(region)
-    return MPI.COMM_WORLD.allreduce(np.sum(stresses.energy_density(region) * volumes))
-
-
-add_quantity(
-    Quantity(
-        "interfaces", "area_over_1MPa", "mm^2", digits=1, label="over 1 MPa",
-        order=ORDER_OF_STRESS, step_record=True, compute=area_over(1.0),
-    ),
-    Quantity("interfaces", "area_over_5MPa", "mm^2", compute=area_over(5.0)),
-    Quantity("regions", "strain_energy", "N mm", digits=4, compute=strain_energy),
-)
-'''
-
-# The same blocks, pressed onto each other by 3 MPa.
-PRESSED = CASE.replace(
-    "kind: elastic_layer, stiffness: 50 MPa/mm", "kind: contact, friction_coefficient: 0.3"
-).replace("-3 MPa", "3 MPa")
-STUDY = """\
-base: case.yaml
-study:
-  quantities: [lower_upper.area_over_1MPa, upper.strain_energy]
-  lines: {size: {mesh.size: [4 mm, 2 mm]}}
-  reference:
-    values: {lower_upper.area_over_1MPa: 16 mm^2, upper.strain_energy: 0.144 N*mm}
-"""
-
-
-def test_quantity_from_outside_is_published(tmp_path: Path) -> None:
-    """3 MPa over 16 mm²; the energy is σ²/(2E) times 32 mm³."""
-    summary, output = run(tmp_path, EXTENSION, PRESSED, "--error")
-    interface = summary["interfaces"]["lower_upper"]
-    assert interface["area_over_1MPa"] == pytest.approx(16, rel=1e-9)
-    assert interface["area_over_1MPa_error"] == pytest.approx(0, abs=1e-9)
-    assert interface["area_over_5MPa"] == 0
-    energies = [summary["regions"][name]["strain_energy"] for name in ("lower", "upper")]
-    assert energies == pytest.approx([0.072, 0.144], rel=1e-9)
-    assert "area_over_5MPa_error" not in interface
-    record = mantle.read(tmp_path / "out").step_record
-    assert record["lower_upper area_over_1MPa [mm^2]"][-1] == pytest.approx(16, rel=1e-9)
-    assert not any("5MPa" in name for name in record)
-    lines = output.splitlines()
-    title = next(k for k, line in enumerate(lines) if line.startswith("interface"))
-    assert lines[title].endswith(" over 1 MPa  area over 5MPa")
-    assert lines[title + 1].split()[-2:] == ["mm^2", "mm^2"]
-    assert lines[title + 2].split()[-2:] == ["16.0", "0.00"]
-    assert any(line.startswith("upper") and line.endswith("0.1440") for line in lines)
-
-
-@pytest.mark.slow
-def test_quantity_from_outside_is_measured_by_a_study(tmp_path: Path) -> None:
-    (tmp_path / "study.yaml").write_text(STUDY)
-    done = support.extended(
-        tmp_path, EXTENSION, PRESSED, "study", "study.yaml", "-o", "out", "--cores", "1"
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    record = json.loads((tmp_path / "out" / "study.json").read_text())["quantities"]
-    for name, unit in (("lower_upper.area_over_1MPa", "mm^2"), ("upper.strain_energy", "N mm")):
-        assert record[name]["unit"] == unit
-        assert [p["error"] < 1e-9 for p in record[name]["points"]] == [True, True]
-
-
-def test_quantity_from_outside_is_added_once_with_a_unit() -> None:
-    with pytest.raises(ValueError, match="already"):
-        quantities.add_quantity(quantities.TABLE["interfaces"]["gap_max"])
-    with pytest.raises(ValueError, match="unit"):
-        quantities.add_quantity(quantities.Quantity("interfaces", "length", "furlong"))
-    with pytest.raises(ValueError, match="interfaces, stem, bonds, probes have `step_record`"):
-        quantities.add_quantity(quantities.Quantity("regions", "length", "mm", step_record=True))

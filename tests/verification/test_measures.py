@@ -1,4 +1,4 @@
-"""Measures that problems share: a right run is right, another answer is not."""
+"""Measures that problems share: a right run passes, another answer fails."""
 
 from __future__ import annotations
 

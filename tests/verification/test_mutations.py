@@ -1,8 +1,7 @@
 """A wrong sign or factor in the equations makes a problem of ``mantle verify`` fail.
 
-Each mistake is planted in a copy of the program, one at a time: eq. 48 to 50 (elasticity), eq. 57
-and 65 (contact), Coulomb's cone, loads; eq. 14, 66 and 68 (heat at interfaces), conduction, cure,
-thermal strain.
+A copy of the program has one mistake at a time: eq. 48 to 50 (elasticity), eq. 57 and 65 (contact),
+Coulomb's cone, loads; eq. 14, 66 and 68 (heat at interfaces), conduction, cure, thermal strain.
 """
 
 from __future__ import annotations
@@ -96,7 +95,7 @@ app/mechanics/thermal_strain.py
 
 
 def mutations() -> dict[str, tuple[str, str, str, str]]:
-    """By name: a file, what is in it, what is planted instead, and the problem that has to fail."""
+    """Mistakes by name: a file, its text, the wrong text, and the problem that has to fail."""
     table, file, problem = {}, "", ""
     for line in filter(None, TABLE.splitlines()):
         if line.startswith("    "):

@@ -1,7 +1,7 @@
 r"""Patch tests: interfaces that carry a homogeneous stress exactly, on any mesh.
 
-Strong form: div σ = 0 in each block, contact with friction between them. The exact solutions are
-affine in each block, so that every mesh and every order has to give them to rounding.
+The strong form is div σ = 0 in each block, with contact and friction between them. The exact
+solutions are affine in each block, so every mesh and every order has to give them to rounding.
 """
 
 from __future__ import annotations
@@ -153,7 +153,10 @@ SHIFT = np.array([0.01, -0.02, 0.005])
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("interfaces", ["{}", "bonded and contact", "contact"])
 def test_patch_affine_displacement_on_the_boundary(interfaces: str, order: int) -> None:
-    """Given on all sides by expressions, it is exact inside, also if interfaces may open."""
+    """Expressions give the displacement on all sides.
+
+    It is exact inside, also if interfaces may open.
+    """
     rows = [
         f"{axis}: '{' + '.join(f'{g} * {c}' for g, c in zip(row, 'xyz', strict=True))} + {shift}'"
         for axis, row, shift in zip("xyz", GRADIENT, SHIFT, strict=True)
@@ -184,7 +187,7 @@ def test_patch_affine_displacement_on_the_boundary(interfaces: str, order: int) 
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_patch_prescribed_jump_by_two_expressions(order: int) -> None:
-    """Where both blocks are held the jump is what their supports give, growing with the load."""
+    """The jump of blocks that are both held is that of their supports, growing with the load."""
     lower, upper = "1e-3 * (y - z)", "2e-3 * y + 1e-3 * z"
     result = support.solve(
         TILTED.format(**tilted(order, 1.0, 0)),

@@ -1,8 +1,8 @@
 r"""Second law (paper eq. 36): friction only dissipates, and contact without tension does no work.
 
-Strong form of what is tested, at every contact point: friction times slip rate is not negative, and
-the pressure times the rate of the gap is zero. In load steps the first holds for the implicit sum,
-the second up to points that close or open within a step.
+The strong form at every contact point: friction times slip rate is not negative, and the pressure
+times the rate of the gap is zero. In load steps the first holds for the implicit sum, the second up
+to points that close or open within a step.
 """
 
 from __future__ import annotations
@@ -79,12 +79,12 @@ def random_path(moved: str, interface: str, seed: int, stages: int = 4) -> list[
 
 
 def increments(solved: Solved, what: str) -> Floats:
-    """Increment of a sum of each point in each step (steps, n)."""
+    """Increments of a sum of each point in each step (steps, n)."""
     return np.diff([getattr(s, what) for s in solved.samples], axis=0, prepend=0)
 
 
 def assert_never_negative(solved: Solved) -> None:
-    """Every increment of the dissipation, as measured here and as reported."""
+    """Every increment of the dissipation, as measured here and as reported, is positive or zero."""
     dissipated = increments(solved, "dissipation")
     assert dissipated.min() >= NEGATIVE * dissipated.max()
     for q in solved.interfaces.values():
@@ -106,7 +106,7 @@ def assert_never_negative(solved: Solved) -> None:
 def test_second_law_friction_dissipates_in_every_step(
     text: str, moved: str, interfaces: list[str], law: str, seed: int
 ) -> None:
-    """Random loads that turn round, with gaps that change on the way."""
+    """Random loads reverse, and gaps change on the way."""
     path = [*by(law, *interfaces), *random_path(moved, interfaces[0], seed)]
     if text is DRAGGED:
         path.append("interfaces.lower_upper.gap=2e-3 * x")
@@ -154,7 +154,7 @@ loads:
 
 
 def slid(law: str, way: list[float], increments: list[int], *overrides: str) -> Solved:
-    """The block slid to some places, one in each stage."""
+    """The block after sliding to some places, one in each stage."""
     stages = ", ".join(f"{{name: s{k}, increments: {n}}}" for k, n in enumerate(increments))
     return support.solve(
         SLIDE,
@@ -168,9 +168,9 @@ def slid(law: str, way: list[float], increments: list[int], *overrides: str) -> 
 
 @LAWS
 def test_second_law_full_slip_dissipates_friction_times_slip(law: str) -> None:
-    """Steady sliding over a way s, there and back: each time μ p A s with p A the press.
+    """Steady sliding over a path s, there and back, dissipates μ p A s each time.
 
-    Friction turns along the way, exponentially, only once the block slides.
+    Friction turns along the path, exponentially, only once the block slides.
     """
     slide = [0, 0.1, 0.16, 0.06, -0.01]
     solved = slid(law, slide, [1, 3, 3, 3, 3])
@@ -215,7 +215,7 @@ def test_second_law_contact_work_vanishes_with_small_steps() -> None:
 
 
 def test_second_law_interference_work_is_not_contact_work() -> None:
-    """A press fit stores energy through the jump: all of it work against the changing gap."""
+    """A press fit stores energy through the jump. All of it is work against the changing gap."""
     solved = support.solve(
         STEM,
         "loads={}",
@@ -248,7 +248,10 @@ solver: {tolerance: 1.0e-13}
 
 
 def test_second_law_contact_work_of_a_penalty_is_its_energy() -> None:
-    """Bar against a wall by a penalty: r/2 g^2 A with g = K u / (K + r), and nothing once back."""
+    """A bar presses against a wall with a penalty.
+
+    The energy is r/2 g^2 A with g = K u / (K + r), and zero after the return.
+    """
     K, u, r, A = 220.0, 0.01, 1e3, 4.0
     energies = [
         support.solve(

@@ -127,7 +127,7 @@ def linear(request: pytest.FixtureRequest) -> str:
 
 @pytest.mark.parametrize(("degrees", "friction"), [(9, 0.46), (6, 0.3), (12, 0.6)])
 def test_solvers_agree_on_a_block_on_a_slope(linear: str, degrees: float, friction: float) -> None:
-    """push = weight (tan a + mu) / (1 - mu tan a), and the residual is that of the forces.
+    """The push is weight (tan a + mu) / (1 - mu tan a). The residual is that of the forces.
 
     A block that has left the slope and is far away is in balance but for rounding of K u.
     """
@@ -148,7 +148,7 @@ def test_solvers_agree_on_a_block_on_a_slope(linear: str, degrees: float, fricti
 
 
 def test_solvers_agree_on_two_arms(linear: str) -> None:
-    """Each is a cantilever: together they open by 8 F L^3 / (E b h^3)."""
+    """Each arm is a cantilever, so together they open by 8 F L^3 / (E b h^3)."""
     solved = support.solve(ARMS, linear)
     opening = 8 * 0.1 * 50**3 / (20e3 * 1 * 2**3)
     assert solved.interfaces["lower_upper"]["gap_max"] == pytest.approx(opening, rel=0.02)
@@ -164,9 +164,9 @@ interfaces.lower_upper={kind: cohesive, friction_coefficient: 0.3, stiffness: 1.
 
 
 def test_solvers_agree_on_two_bonded_arms(linear: str) -> None:
-    """Open over a length a: beams clamped by a bond that yields, 8 F (a + c h)^3 / (E b h^3).
+    """Arms are open over a length a. A bond that yields clamps them: 8 F (a + c h)^3 / (E b h^3).
 
-    c is 0.64 for an isotropic beam on its other half.
+    The c is 0.64 for an isotropic beam on its other half.
     """
     solved = support.solve(ARMS, GLUE, linear)
     opening = 8 * 0.1 * (25 + 0.64 * 2) ** 3 / (20e3 * 1 * 2**3)
@@ -178,7 +178,7 @@ def test_solvers_agree_on_two_bonded_arms(linear: str) -> None:
 
 @pytest.mark.slow
 def test_solvers_agree_on_two_breaking_arms() -> None:
-    """The load that breaks the bond, step by step, and Krylov methods that do not slow down."""
+    """The load breaks the bond step by step. Krylov methods do not slow down."""
     law = GLUE.replace("1.0e+5", "1.0e+4").replace(": 50 MPa", ": 20 MPa")
     law = law.replace("energy: 1 N/mm", "energy: 0.25 N/mm").replace("25 - x", "15 - x")
     sizes = "size: [40 mm, 1 mm, 3 mm]"
@@ -210,7 +210,7 @@ def test_solvers_agree_on_two_breaking_arms() -> None:
 def test_solvers_agree_on_a_belt(
     linear: str, friction: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """hold = pull exp(-mu pi / 2), where contact alone holds the belt across its length."""
+    """The force is pull exp(-mu pi / 2). Contact alone holds the belt across its length."""
     monkeypatch.setenv("MANTLE_ALLOW_SCRIPTS", "1")
     (tmp_path / "belt.geo").write_text(BELT_GEO)
     (tmp_path / "case.yaml").write_text(BELT)
@@ -256,9 +256,9 @@ Physical Surface("bottom") = Surface In BoundingBox {-0.1, -0.1, -0.1, 9, 2.1, 0
 def test_solvers_agree_on_separate_columns(
     linear: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each column bears E A d / L of what its gap leaves of its displacement d.
+    """Each column bears E A / L times the part of the displacement d that its gap leaves.
 
-    In the elimination tree of the factors the jumps of each column are a branch.
+    The jumps of each column are a branch in the elimination tree of the factors.
     """
     monkeypatch.setenv("MANTLE_ALLOW_SCRIPTS", "1")
     tops = [
@@ -302,7 +302,7 @@ loads:
 
 @pytest.mark.parametrize("gap", ["0.0004 * x", "0.0003 * (6 - x)", "0.0003 * (x + 1)"])
 def test_solvers_agree_on_a_wedge(linear: str, gap: str) -> None:
-    """All of the interface bears the force, about its axis."""
+    """The whole interface bears the force, about its axis."""
     solved = support.solve(WEDGE, f'interfaces.low_high.gap="{gap}"', linear)
     numbers, contact = solved.interfaces["low_high"], solved.problem.contact
     assert contact is not None
@@ -339,7 +339,7 @@ stages: [{{name: press}}, {{name: push, increments: 2}}]
 
 
 def clearance(degrees: float, gap: float, share: float, linear: str) -> support.Solved:
-    """Solve the block, pushed up the slope by a share of what friction bears."""
+    """Solve the block, pushed up the slope by a share of the friction limit."""
     tangent, normal = (
         np.array([math.cos(a), 0.0, math.sin(a)])
         for a in (math.radians(degrees), math.radians(degrees + 90))
@@ -361,7 +361,7 @@ def clearance(degrees: float, gap: float, share: float, linear: str) -> support.
 def test_solvers_agree_on_a_clearance(
     linear: str, degrees: float, gap: float, share: float
 ) -> None:
-    """The block goes along the normal of the slope until it touches, and friction holds it."""
+    """The block moves along the normal of the slope until contact, and friction holds it."""
     solved = clearance(degrees, gap, share, linear)
     a = math.radians(degrees)
     _, u = solved.displacement("block")
@@ -373,7 +373,7 @@ def test_solvers_agree_on_a_clearance(
 
 
 def test_solvers_agree_to_refuse_a_block_on_weak_springs(linear: str) -> None:
-    """Pushed beyond friction, springs hold the block 19 mm away: displacements are not small."""
+    """The push exceeds friction. Springs hold the block 19 mm away, which is not small."""
     with pytest.raises(MantleError) as error:
         clearance(20, 0.4, 1.01, linear)
     assert error.value.exit_code == 4
@@ -446,7 +446,7 @@ class Outcome:
         )
 
     def undecided(self) -> set[str]:
-        """Interfaces that are not pressed and not open, but for rounding."""
+        """Interfaces that are neither pressed nor open, but for rounding."""
         of = {key: value for key, (value, _) in self.numbers.items()}
         return {
             name
@@ -492,7 +492,7 @@ def _solved(folder: Path) -> Outcome:
 def test_solvers_agree_on_shipped_cases(
     case: str, changes: tuple[str, ...], tmp_path: Path
 ) -> None:
-    """The same exit, and numbers that differ by `SAME` of the largest of their unit."""
+    """The exit is the same, and numbers differ by `SAME` of the largest of their unit."""
     path = support.CONFIGS / case
     time = None
     with suppress(mantle.MantleError):

@@ -150,7 +150,10 @@ stages: [{name: fit}, {name: turn, increments: 2}]
 
 
 def test_straight_facets_rotated_cone_does_not_climb() -> None:
-    """It slides by 0.07 and 0.14 mm; the torque is that of friction on all of its pressure."""
+    """The cone slides by 0.07 and 0.14 mm.
+
+    The torque is that of friction on all of its pressure.
+    """
     solved = support.solve(TURNED, balances=True)
     one, two = solved.samples[1:]
     assert two.pressure.min() == pytest.approx(one.pressure.min(), rel=0.02)
@@ -175,7 +178,7 @@ def torsion(solved: support.Solved) -> float:
 
 
 def rounded(case: Case, digits: int) -> support.TaggedMesh:
-    """The mesh of a case, its coordinates to some digits after the point."""
+    """The mesh of a case with coordinates of some digits after the point."""
     comm = support.MPI.COMM_WORLD
     data = meshes.build(case.geometry, case.mesh, None) if comm.rank == 0 else None
     return distribute(data and replace(data, points=np.round(data.points, digits)), comm)
@@ -184,7 +187,10 @@ def rounded(case: Case, digits: int) -> support.TaggedMesh:
 @pytest.mark.parametrize("digits", [12, 6, 4, 3])
 @pytest.mark.parametrize("taper", [1.5, 0])
 def test_straight_facets_frictionless_stem_does_not_rotate(taper: float, digits: int) -> None:
-    """Whatever the solver, on exact and on rounded coordinates; facets turned it by 1.6e-3."""
+    """Any solver is exact on exact and on rounded coordinates.
+
+    Facets rotated the stem by 1.6e-3.
+    """
     load = "[300 N, 0 N, -900 N]" if taper else "[300 N, 0 N, 0 N]"
     changes = (SMOOTH, f"geometry.taper={taper} deg", f"loads.hip.force={load}")
     tagged = rounded(support.case(support.STEM, *changes), digits)
@@ -205,7 +211,7 @@ def test_straight_facets_frictionless_stem_does_not_rotate(taper: float, digits:
 
 @pytest.mark.parametrize("friction", [0, 0.2, 0.4])
 def test_straight_facets_stem_closes_a_gap(friction: float) -> None:
-    """A taper sinks by gap / sin(taper), so that pressures are those without a gap."""
+    """A taper sinks by gap / sin(taper), so pressures are those without a gap."""
     changes = (f"interfaces.stem_cement.friction_coefficient={friction}",)
     axial = "loads.hip.force=[0 N, 0 N, -900 N]"
     tight = support.solve(support.STEM, *changes, axial).last
@@ -251,7 +257,7 @@ time: {method: backward_euler, tolerance: 1 K}
 
 @pytest.mark.parametrize("linear", ["auto", "direct", "multigrid"])
 def test_straight_facets_conducting_stem_does_not_rotate(linear: str, tmp_path: Path) -> None:
-    """Heat and contact are one system, of which the mechanics are those without heat."""
+    """Heat and contact are one system, with the mechanics of a case without heat."""
     summary = support.run(WARM, tmp_path, f"solver.linear={linear}").summary
     text = re.sub(r",\s+(thermal|conductance): \{[^}]*\}", "", WARM.partition("time:")[0])
     text = re.sub(r"heat:\n.*\n", "", text).replace("duration: 10 s, ", "")

@@ -1,4 +1,4 @@
-"""`mantle verify`, `stress` and `bench`: how problems are judged, what is solved and written."""
+"""`mantle verify`, `stress` and `bench`: verdicts on problems, solved runs and written files."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_{name}(problem):
 
 @pytest.fixture
 def problems(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder for problems of the user, in place of the program's."""
+    """A folder for problems of the user that replaces the program's."""
     folder = tmp_path / "problems"
     folder.mkdir()
     (folder / "conftest.py").write_text(CONFTEST)
@@ -93,7 +93,7 @@ def test_suite_outcomes(
     outcome: str,
     words: str,
 ) -> None:
-    """A problem with this answer, on runs that ended so."""
+    """A problem has this answer, and its runs end in this way."""
     expects = 'problem.expects("a number", tolerance=1e-6, source="known")'
     if answer == "no answer":
         expects = 'problem.expects_refusal("a number", Reason.LOOSE_BODY)'
@@ -141,7 +141,7 @@ def test_row(problem):
 def test_suite_wrong_order_misses(
     problems: Path, tmp_path: Path, errors: tuple[float, ...], outcome: str
 ) -> None:
-    """However small the error; the finest run counts."""
+    """The error may be small. The finest run counts."""
     write(
         problems,
         f"""
@@ -219,7 +219,7 @@ def test_suite_table_verdict_picture_and_json(tmp_path: Path) -> None:
 def test_suite_selection_keeps_results_of_the_whole_suite(
     problems: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And where no picture can be drawn, that of other numbers does not stay."""
+    """If no picture can be drawn, the picture of other numbers is removed."""
     marks = {"a": "@quick", "b": "", "c": "@long"}
     texts = [mark + COMPARED.format(name=name, error=1e-7) for name, mark in marks.items()]
     write(problems, "\n".join(texts))
@@ -229,7 +229,8 @@ def test_suite_selection_keeps_results_of_the_whole_suite(
     assert suite.run("verify", Options(out, 1, "a"))
     assert suite.run("verify", Options(out, 1, tier="quick"))
     assert suite.run("verify", Options(out, 1, tier="long"))
-    assert [*rows(out, "verify-a")] == [*rows(out, "verify-quick")] == ["a"]
+    assert [*rows(out, "verify-a")] == ["a"]
+    assert [*rows(out, "verify-quick")] == ["a"]
     assert [*rows(out)] == ["a", "b"]
     assert [*rows(out, "verify-long")] == ["a", "b", "c"]
     assert {name: (out / name).read_bytes() for name in before} == before
@@ -301,7 +302,10 @@ def test_other(problem):
 def test_suite_timed_problems_run_in_turn(
     problems: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One after the other, each of their runs as often as it says; a judge sees them by run."""
+    """Problems run one after the other. Each run is repeated as often as it says.
+
+    A judge gets the times by run.
+    """
     called = []
 
     def run(planned: Sequence[PlannedRun], folder: Path, *_: object) -> list[Result]:
@@ -322,7 +326,7 @@ def test_suite_timed_problems_run_in_turn(
 
 
 def test_suite_judges_a_run_that_cannot_start(problems: Path, tmp_path: Path) -> None:
-    """As one that ended with that error."""
+    """The verdict is that of a run that ended with this error."""
     write(
         problems,
         """
@@ -340,7 +344,7 @@ def test_row(problem):
 
 @pytest.mark.slow
 def test_suite_stress_from_end_to_end(tmp_path: Path) -> None:
-    """An exact answer whatever the friction, and a body that nothing holds."""
+    """One case has an exact answer for any friction. The other has a body that nothing holds."""
     for pattern, outcome, count in (
         ("friction_incline", "passed", 3),
         ("floating_no_support", "refused", 1),

@@ -1,4 +1,4 @@
-"""Problems with known answers: one pytest case each, by subject.
+"""Problems with known answers: each is a case of pytest, in a file for its subject.
 
-`conftest` gives them their ``problem``; `app.verification.problem` says what it can.
+`conftest` gives them their ``problem``, which `app.verification.problem` describes.
 """

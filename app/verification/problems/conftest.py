@@ -1,7 +1,8 @@
 """Fixtures and hooks of pytest for the problems.
 
-`mantle verify` (`app.verification.suite`) runs these files, and so do the tests of the program.
-There each problem solves its runs in this process, and all but the quick ones count as slow.
+`mantle verify` (`app.verification.suite`) runs these files, and so do the tests of the program. The
+tests solve the runs of a problem in the process of pytest. All but the quick problems count as
+slow.
 """
 
 from __future__ import annotations

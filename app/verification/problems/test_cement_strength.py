@@ -36,7 +36,7 @@ def compare_risk(
 
 
 def bent(m: float) -> float:
-    """Risk in pure bending."""
+    """Risk of a bar in pure bending."""
     return VOLUME * SURFACE**m / 2 / (m + 1)
 
 
@@ -71,7 +71,7 @@ def test_weibull_three_points(problem: KnownProblem, m: float) -> None:
 
 @verify
 def test_weibull_corner(problem: KnownProblem) -> None:
-    """The run says which of its risks grow with the mesh."""
+    """The run names those of its risks that grow with the mesh."""
     problem.expects(
         "0 if a risk is said to grow with the mesh at a corner, and there alone",
         tolerance=0.5,

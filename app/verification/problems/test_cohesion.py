@@ -52,8 +52,8 @@ def softening_error(
 ) -> Comparison:
     """Largest error of traction and spent energy while a point is pulled apart in one direction.
 
-    With linear softening the traction is on the ellipse of the strengths, shrunk by the part of the
-    energy that is used up. Strength and energy are those in tension.
+    With linear softening the traction is on the ellipse of the strengths, shrunk by the used part
+    of the energy. Strength and energy are those in tension.
     """
     spent_fraction = column(run, "dissipation [N mm]") / (whole / G_I * energy(mixture) * AREA)
     tension = np.maximum(-column(run, "pressure_p95 [MPa]"), 0)  # a sheared block tips and presses
@@ -116,7 +116,10 @@ def test_cohesive_mixtures(problem: KnownProblem) -> None:
 @verify
 @quick
 def test_cohesive_unloading(problem: KnownProblem) -> None:
-    """Pulled to 0.005 mm and back in two steps: the traction falls on the line to the origin."""
+    """The interface is pulled to 0.005 mm and back in two steps.
+
+    The traction falls on the line to the origin.
+    """
     problem.expects(
         "traction of a bond pulled to 0.005 mm and let go, relative",
         tolerance=1e-4,
@@ -179,7 +182,10 @@ ZONE = 3.0  # mm that the crack runs before its zone is whole
 
 @verify
 def test_cohesive_beams(problem: KnownProblem) -> None:
-    """The length of the crack is what is used up over G b; its slope is that of the steady part."""
+    """The length of the crack is the dissipated energy over G b.
+
+    The slope is that of the steady part.
+    """
     problem.expects(
         "J of a double cantilever beam turned apart [N/mm], relative",
         tolerance=0.01,
@@ -204,7 +210,7 @@ def test_cohesive_beams(problem: KnownProblem) -> None:
 
 @verify
 def test_cohesive_mesh(problem: KnownProblem) -> None:
-    """Energy that the whole turn uses up, and work that the interface takes, by two meshes."""
+    """Two meshes give the dissipated energy of the whole turn and the work on the interface."""
     problem.expects(
         "energy and work of the turn by cells of 2 mm, against 1 mm [N mm], relative",
         tolerance=0.02,

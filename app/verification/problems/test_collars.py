@@ -1,4 +1,4 @@
-"""A collar on the neck cut: all of an axial load, or its part by springs in parallel."""
+"""A collar on the neck cut bears an axial load, or a part of it by springs in parallel."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BONE = ("cortical_bone", "cancellous_bone")
 @verify
 @quick
 def test_collar_takes_all(problem: KnownProblem) -> None:
-    """Flanks of a prism without friction bear nothing along it, whatever the cut and the bone."""
+    """The frictionless flanks of a prism bear no axial force, for any cut and bone."""
     problem.expects(
         "force of a collar along a prismatic stem without friction over the load, relative",
         tolerance=1e-8,

@@ -136,7 +136,7 @@ def end_of_bar(run: Run, time: float) -> float:
 @verify
 @pytest.mark.parametrize("number", [pytest.param("end", marks=quick), "residual", "dissipation"])
 def test_foundation_bar(problem: KnownProblem, number: str) -> None:
-    """Pulled, let go, and pulled again."""
+    """The bar is pulled, released, and pulled again."""
     quantities = {
         "end": "end displacement of a bar on a bed with friction [mm], relative",
         "residual": "the same after unloading [mm], relative",
@@ -157,10 +157,10 @@ def test_foundation_bar(problem: KnownProblem, number: str) -> None:
 @condensed
 @pytest.mark.parametrize("μ", [pytest.param(μ, id=f"{μ:g}") for μ in (0.01, 0.3, 1.0, 2.0, 5.0)])
 def test_friction_bar_on_a_bed(problem: KnownProblem, μ: float) -> None:
-    """Friction acts on the lower face of the bar and rotates it.
+    """Friction acts on the lower face of the bar and rotates the bar.
 
-    The end then moves more, by a part of friction times height over length. So the bar is thin, and
-    of the same stiffness EA.
+    The rotation moves the end by a part of friction times height over length. So the bar is thin,
+    and of the same stiffness EA.
     """
     problem.expects(
         "end displacement, pulled and let go [mm], relative", tolerance=MESH, source=BED
@@ -285,7 +285,7 @@ CRITICAL = 1.4  # friction beyond which there need not be one answer that steps 
     "μ", [pytest.param(μ, id=f"{μ:g}") for μ in (0.0, 0.01, 0.3, 1.0, 2.0, 5.0)]
 )
 def test_friction_stem(problem: KnownProblem, μ: float) -> None:
-    """Friction from zero to beyond the limit of uniqueness."""
+    """The coefficient of friction goes from zero to beyond the limit of uniqueness."""
     refusal = None
     if μ > CRITICAL:
         refusal = Reason.NOT_UNIQUE
@@ -309,10 +309,11 @@ HALF_ANGLE = float(np.radians(5))
 
 
 def compare_wedge(problem: KnownProblem, friction: float, left: float) -> None:
-    """Push the cone in by 100 N, then unload to a part; force over the integral of pressure.
+    """Push the cone in by 100 N, then unload to a part.
 
-    Where it slides that is sin a +- m cos a; where friction holds it, the law of friction and the
-    balances hold and pressure stays.
+    The result is force over the integral of pressure. This ratio is sin a +- m cos a if the cone
+    slides. If friction holds the cone, the law of friction and the balances hold, and the pressure
+    stays.
     """
     solved = problem.solve(
         TAPER,
@@ -365,7 +366,7 @@ def test_taper_let_go(problem: KnownProblem, μ: float) -> None:
     ],
 )
 def test_taper_pulled(problem: KnownProblem, μ: float, back: float) -> None:
-    """Of the force that pushed it in, (m - tan a) / (m + tan a) pulls it out."""
+    """A force of (m - tan a) / (m + tan a) times the force of insertion pulls the taper out."""
     description = "violation of balance and friction of a cone pulled back"
     limit_ratio = (μ - np.tan(HALF_ANGLE)) / (μ + np.tan(HALF_ANGLE))
     if -back < limit_ratio:

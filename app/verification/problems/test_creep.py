@@ -1,4 +1,4 @@
-"""Cement that creeps: constant stress, relaxation, rings, a taper, jumps over seven decades."""
+"""Creep of cement: constant stress, relaxation, rings, a taper, jumps over seven decades."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_creep_shrink_fit(problem: KnownProblem) -> None:
 @verify
 @pytest.mark.parametrize(("n", "A"), [pytest.param(2, 1e-5, id="2"), pytest.param(4, 1e-7, id="4")])
 def test_creep_ring(problem: KnownProblem, n: int, A: float) -> None:
-    """The mean of both stresses oscillates within cells, as volume is kept."""
+    """Means of both stresses are compared, because values oscillate within cells."""
     problem.expects(
         f"hoop less radial stress of a ring that flows, n = {n} [MPa], relative in L2",
         tolerance=5e-3,
@@ -134,7 +134,7 @@ def test_creep_taper(problem: KnownProblem) -> None:
     problem.expects(
         "subsidence of a taper by creep, against rings [mm], relative",
         tolerance=5e-3,
-        source="integration of rates (tests/verification/test_creep_forms.py)",
+        source="integration of rates (tests/verification/test_closed_forms_creep.py)",
     )
     solved = problem.solve("verification/creep_taper.yaml")
     sunk = solved.step_record["stem subsidence [mm]"]

@@ -72,7 +72,7 @@ def test_cure(problem: KnownProblem, changes: Sequence[str], reference: float) -
 @verify
 @quick
 def test_cure_heat(problem: KnownProblem) -> None:
-    """Final temperature, from the heat of the degree of cure reached."""
+    """The final temperature follows from the heat of the final degree of cure."""
     problem.expects(
         "temperature after it has set without losing heat, over its rise",
         tolerance=1e-9,
@@ -95,7 +95,7 @@ def test_cure_heat(problem: KnownProblem) -> None:
 def test_cure_order(
     problem: KnownProblem, method: str, order: float, counts: Sequence[int], tolerance: float
 ) -> None:
-    """Degree of cure at the end, uniform in space."""
+    """The final degree of cure is uniform in space."""
     problem.expects(
         "degree of cure after 300 s in steps of one length, relative",
         tolerance=tolerance,

@@ -154,7 +154,7 @@ def test_cook(problem: KnownProblem, ν: float) -> None:
 
 @verify
 def test_cook_p1_warns(problem: KnownProblem) -> None:
-    """Cells of first order lock, and the run has to say so."""
+    """Cells of first order lock, and the run has to warn of it."""
     ν = max(exact.COOK)
     problem.expects(
         f"the same by P1, nu {ν} [mm]: locks, and warns of it (error 0) or not (1)",
@@ -178,7 +178,7 @@ RATIOS = (0.3, 0.3, 0.3)
 
 
 def stack(run: Run, moduli: Sequence[float], ratios: Sequence[float]) -> Comparison:
-    """Displacement and pressure, which are exact on any mesh."""
+    """Displacement and pressure of a stack, which are exact on any mesh."""
     p = 2.0
     height = 5.0
     lame = (exact.lame(material) for material in zip(moduli, ratios, strict=True))

@@ -34,9 +34,9 @@ CARSLAW = "Carslaw & Jaeger, Conduction of Heat in Solids, section {}"
 
 
 def written(run: Run, ends: Sequence[float], since: float = 0.0) -> list[tuple[int, float]]:
-    """Written steps of stages that take time, and their seconds; the last of a steady state.
+    """Written steps of stages that take time, and their seconds; the last step of a steady state.
 
-    ``ends`` are seconds at the start and at the end of each stage, empty for a steady state; steps
+    ``ends`` are seconds at the start and at the end of each stage, empty for a steady state. Steps
     up to ``since`` [s] are left out.
     """
     if not ends:
@@ -77,7 +77,10 @@ def temperatures(
 def mean_square(
     run: Run, fields: Sequence[HeatField], zero: float, ends: Sequence[float] = ()
 ) -> Comparison:
-    """Temperatures over zero, relative in L2, at the worst written step; the rest as above."""
+    """Error of temperatures above zero, relative in L2, at the worst written step.
+
+    Other arguments are those of `temperatures`.
+    """
 
     def at(step: int, seconds: float) -> Comparison:
         error, norm, reference = run.norms(
@@ -251,7 +254,7 @@ BY_EFFUSIVITY = E_CEMENT / (E_CEMENT + E_BONE)
     ],
 )
 def test_rubbing(problem: KnownProblem, what: str, share: float, changes: Sequence[str]) -> None:
-    """Temperatures over the rise of the hotter surface; share of the cement."""
+    """Temperatures over the rise of the hotter surface, and the share of heat of the cement."""
     problem.expects(
         f"heat of friction, {what}, relative", tolerance=0.01, source=CARSLAW.format("2.9")
     )
@@ -315,7 +318,7 @@ def cooled_layers(joined: tuple[bool, bool]) -> closed_forms.Layers:
 def layer_stresses(run: Run, joined: tuple[bool, bool]) -> Comparison:
     """Radial and hoop stress of the cement of cooled_layers.yaml at its surfaces [MPa].
 
-    Both are of the form A + B / r²: fitted to the cells' means, taken at 6 and 10 mm.
+    Both stresses are of the form A + B / r², fitted to the cells' means at 6 and 10 mm.
     """
     law = cooled_layers(joined)
     cells = run.region == 2
@@ -352,7 +355,7 @@ def test_layers_bonded(problem: KnownProblem) -> None:
 
 @verify
 def test_layers_unilateral(problem: KnownProblem) -> None:
-    """Grip on the stem [MPa] and gap at the bone [mm], too."""
+    """Pressure on the stem [MPa] and gap at the bone [mm]."""
     problem.expects(
         "the same without tension; pressure, gap [mm], relative", tolerance=0.01, source=LAYERS
     )
@@ -384,7 +387,7 @@ def test_layers_unilateral(problem: KnownProblem) -> None:
     ],
 )
 def test_walls(problem: KnownProblem, closed: bool, changes: Sequence[str]) -> None:
-    """Temperatures over 43 K and pressure, in one of the stable states."""
+    """Temperatures over 43 K, and the pressure, in one of the stable states."""
     problem.expects(
         "conductance that depends on pressure: one of two states, relative",
         tolerance=1e-4,
@@ -430,9 +433,9 @@ def test_wavy(problem: KnownProblem, field: str) -> None:
 def endured(run: Run, low: float, high: float) -> Comparison:
     """Largest violation of the bounds of a stiff case.
 
-    The error is the largest of: heat lost, over all heat that moved; temperatures [degC] beyond the
-    bounds, over their distance; degrees of cure beyond 0 and 1. ``low`` and ``high`` are the bounds
-    of the data, the latter infinite if there is a source of heat.
+    The error is the largest of three numbers: lost heat over all heat that moved; temperatures
+    [degC] beyond the bounds over their distance; degrees of cure beyond 0 and 1. ``low`` and
+    ``high`` are the bounds of the data. ``high`` is infinite if there is a source of heat.
     """
     summary = run.summary
     regions = summary["thermal"]["regions"].values()

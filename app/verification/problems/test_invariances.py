@@ -1,4 +1,4 @@
-"""The same model in another way: augmentation, load size, units, symmetry, steps; loose bodies."""
+"""One model in several forms: augmentation, load size, units, symmetry, steps; loose bodies."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_augmentation(problem: KnownProblem, ratio: int, μ: float, factor: floa
 
 
 def pushed(force: float) -> tuple[str, str]:
-    """Overrides for the loads of the stem by a force [N]; 900 N are usual."""
+    """Overrides for the loads of the stem by a force [N]; the usual force is 900 N."""
     c = force / 900
     return (
         f"loads.push.force=[0 N, 0 N, {-force!r} N]",
@@ -137,7 +137,7 @@ def test_loads_stem(problem: KnownProblem, force: float) -> None:
 @stress
 @condensed
 def test_loads_stem_beyond_small_displacements(problem: KnownProblem) -> None:
-    """In proportion the stem, of a radius of 7 mm, would slip 100 mm."""
+    """The slip is proportional to the load: the stem of radius 7 mm would slip 100 mm."""
     problem.expects_refusal("a stem under 1e6 N", Reason.LARGE_DISPLACEMENT)
     problem.solve(STEM, *pushed(1e6))
 
@@ -215,7 +215,7 @@ def test_units(problem: KnownProblem, words: Sequence[str]) -> None:
 def test_units_numbers_of(
     problem: KnownProblem, mesh: str, lengths: float, stresses: float
 ) -> None:
-    """The same model with the numbers of other units: a thousand times as small or large."""
+    """The numbers are a thousand times smaller or larger in the other units."""
     problem.expects(FIELDS, tolerance=1e-8, source="the same model in numbers of mm, MPa")
     moduli = {"stem": 110e3, "cement": 2200.0, "bone": 17e3}
     scaled = (f"regions.{n}.youngs_modulus={E * stresses!r} MPa" for n, E in moduli.items())
@@ -268,7 +268,7 @@ def test_floating(problem: KnownProblem, name: str) -> None:
 
 
 def carried_round(first: str, count: int) -> tuple[str, str]:
-    """Overrides that push the stem down, then carry its side load round by a quarter turn.
+    """Overrides that push the stem down, then turn its side load by a quarter.
 
     ``first`` is the history of the load along x, ``count`` the increments of each stage.
     """
@@ -291,7 +291,7 @@ def final(run: Run) -> np.ndarray:
 @stress
 @condensed
 def test_increments_1_to_64(problem: KnownProblem) -> None:
-    """The answer converges with the first power of the length of steps."""
+    """The error falls in proportion to the length of steps."""
     problem.expects("order of steps, below 1", tolerance=0.2, source="implicit Euler: order 1")
     counts = (1, 2, 4, 8, 16, 32, 64, 128)
     runs = problem.solve_each(STEM, [carried_round("[1, 0]", n) for n in counts])

@@ -82,7 +82,7 @@ LAYER = "interfaces.stem_cement.elastic_layer={{normal: {0!r} MPa/mm, tangential
 
 
 def orders(runs: Sequence[Run], stiffnesses: Sequence[float]) -> Comparison:
-    """Orders of penetration and of the pressure's error against the last run, which has none."""
+    """Orders of penetration and of the error of pressure against the last run, which is exact."""
     *soft, hard = (run.summary["interfaces"]["stem_cement"] for run in runs)
     errors = [abs(q["pressure_mean"] / hard["pressure_mean"] - 1) for q in soft]
     first_order = fitted_order(stiffnesses, errors)
@@ -107,7 +107,7 @@ def test_penalty_order_shrink_fit(problem: KnownProblem) -> None:
 @condensed
 @pytest.mark.parametrize("k", [pytest.param(k, id=f"{k:g}") for k in POWERS])
 def test_layer_stem(problem: KnownProblem, k: float) -> None:
-    """A wedge held by soft springs comes out by millimetres, which is not small."""
+    """Soft springs hold a wedge. Its displacement of millimetres is not small."""
     problem.expects(
         "violation of balance and of the laws of the layer and friction",
         tolerance=1e-8,
@@ -179,7 +179,7 @@ def test_layer(
     reference: float,
     changes: Sequence[str],
 ) -> None:
-    """A number of history.csv at the end of a stage."""
+    """The number of history.csv at the end of a stage."""
     problem.expects(f"{what}, relative", tolerance=2e-6, source=SERIES)
     solved = problem.solve(CASE, *changes)
     step = np.argmin(np.abs(solved.step_record["time [-]"] - time))

@@ -38,7 +38,7 @@ def expect(problem: KnownProblem, what: str, tolerance: float, order: float | No
 @quick
 @pytest.mark.parametrize("name", ["level_stress", "deflection"])
 def test_potted_axial(problem: KnownProblem, name: str) -> None:
-    """Without shear the displacement is quadratic, and cells of second order are exact."""
+    """Without shear the displacement is quadratic, so cells of second order are exact."""
     expect(problem, f"{name} of a bar under an eccentric force along its axis", 1e-8)
     bar = exact.CantileverBar(E, *SECTION, LENGTH)
     answers = {
@@ -69,7 +69,7 @@ def test_potted_order(problem: KnownProblem) -> None:
     ],
 )
 def test_potted_head(problem: KnownProblem, name: str, tolerance: float) -> None:
-    """With shear and torsion; the clamp restrains warping, which the beam leaves out."""
+    """Shear and torsion act as well. The clamp restrains warping, which the beam ignores."""
     expect(problem, f"{name} of a bar under the force of ISO 7206-4", tolerance)
     bar = exact.CantileverBar(E, *SECTION, LENGTH)
     answers = {

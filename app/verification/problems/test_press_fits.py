@@ -1,4 +1,4 @@
-"""Press fits of rings: Lamé's pressure, varying interference, unlike and thin rings."""
+"""Press fits of rings: Lamé's pressure, varying interference, different rings, thin rings."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ QUICK = ("plane_strain", 3)
     ],
 )
 def test_lame(problem: KnownProblem, kind: str, t: int) -> None:
-    """One thickness shows the order."""
+    """One thickness suffices to show the order."""
     ordered = t == 3
     problem.expects(
         f"mean pressure of a shrink fit, {t} mm [MPa], relative",
@@ -131,10 +131,10 @@ def fit_pressure() -> float:
     [pytest.param("into", -1, id="in", marks=quick), pytest.param("out of", 1, id="out")],
 )
 def test_press_fit_pushed(problem: KnownProblem, way: str, sign: int) -> None:
-    """All of the rod slides; the axial stress of the ring changes the pressure by a tenth.
+    """The whole rod slides. The axial stress of the ring changes the pressure by a tenth.
 
-    With cells of 2.4, 1.6, 1.2 and 0.9 mm the errors of pushing in are -0.24, -0.07, 0.00 and
-    0.04 %, with Poisson's effect alone -1.2, -1.1, -1.0 and -0.95 %.
+    Cells of 2.4, 1.6, 1.2 and 0.9 mm give errors of pushing in of -0.24, -0.07, 0.00 and 0.04 %.
+    Poisson's effect alone gives -1.2, -1.1, -1.0 and -0.95 %.
     """
     problem.expects(
         f"force that moves a rod {way} its ring [N], relative",
@@ -150,7 +150,7 @@ def test_press_fit_pushed(problem: KnownProblem, way: str, sign: int) -> None:
 
 @verify
 def test_press_fit_taper(problem: KnownProblem) -> None:
-    """Without friction the force grows with the depth by which a cone is driven in."""
+    """Without friction the force grows with the depth to which a cone is driven."""
     problem.expects(
         "force that drives a cone into a ring without friction [N], relative",
         tolerance=0.03,
@@ -177,7 +177,7 @@ MICHELL = "Lamé and Michell's solution of order 2 (Barber, Elasticity, table 9.
 
 
 def oval_changes(cells: str, sizes: Sequence[float]) -> list[tuple[str, ...]]:
-    """Overrides for cells of first order, or straight or curved ones of second order."""
+    """Overrides for cells of first order, and for straight and curved cells of second order."""
     order = {
         "p1": ("mesh.order=1",),
         "p2": ("mesh.order=2", "mesh.curved=false"),
@@ -191,7 +191,7 @@ def oval_changes(cells: str, sizes: Sequence[float]) -> list[tuple[str, ...]]:
     "cells", [pytest.param("p1", marks=quick), pytest.param("p2"), pytest.param("p2_curved")]
 )
 def test_oval_fit(problem: KnownProblem, cells: str) -> None:
-    """The jump is of first order in space whatever the displacement: order 2 for all."""
+    """The jump is of first order in space for any displacement, so all converge at order 2."""
     problem.expects(
         "displacement of a press fit of varying interference, relative in L2",
         tolerance=0.005,
@@ -244,7 +244,10 @@ def compare_rings(
     thicknesses: Sequence[float],
     materials: Sequence[exact.Elastic],
 ) -> None:
-    """Solve a core in a mantle in a ring; the outer pressure counts where it is in contact."""
+    """Solve a core in a mantle in a ring.
+
+    The outer pressure counts if the outer interface is in contact.
+    """
     solved = problem.solve(RINGS, *overrides)
     radii = [float(r) for r in RADIUS + np.cumsum([0.0, *thicknesses])]
     swelling = INTERFERENCE / (1 + materials[0][1]) / RADIUS
@@ -306,10 +309,10 @@ OUTER = {
     ],
 )
 def test_thin_mantle(problem: KnownProblem, size: float, t: float, outer: str) -> None:
-    """A mantle of 0.2 mm in cells of ten times that, and of twenty.
+    """A mantle of 0.2 mm has cells of ten times its thickness, and of twenty times.
 
-    Cells of more than half the radius do not follow it as closely; those of twenty times the
-    thickness leave no mantle, and the mesh says so.
+    Cells of more than half the radius follow the mantle less closely. Cells of twenty times the
+    thickness leave no mantle, and the mesh has a note.
     """
     problem.expects(
         "mean pressures of rings [MPa], relative",

@@ -1,4 +1,4 @@
-"""Bone that remodels: where it ends, on the way, two columns, meshes of a plate."""
+"""Remodelling of bone: final state, course, two columns, meshes of a plate."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LAZY_ZONE = "stimulus P^2 / (2 C rho^(g + 1)) on the edge of the lazy zone"
 
 
 def densities(run: Run, **expected: float) -> Comparison:
-    """Density of regions against what is expected of them everywhere [g/cm3]."""
+    """Density of regions against the one expected everywhere [g/cm3]."""
     rho = run.on_cells("density")
     deviations = [rho[run.region == run.regions[name]] - value for name, value in expected.items()]
     return Comparison(max(float(np.abs(part).max()) for part in deviations))
@@ -103,7 +103,7 @@ def test_remodelling_one_stays(problem: KnownProblem) -> None:
 
 @verify
 def test_remodelling_mass(problem: KnownProblem) -> None:
-    """Mass at the end less that at the start, added and cut, over that at the start."""
+    """The final mass less the initial mass, with added and cut mass, over the initial mass."""
     problem.expects(
         "mass that is not accounted for, over all, of two columns",
         tolerance=1e-10,
@@ -115,9 +115,9 @@ def test_remodelling_mass(problem: KnownProblem) -> None:
 
 @verify
 def test_remodelling_plate(problem: KnownProblem) -> None:
-    """Checkerboards are the part of the variance that alternates from cell to cell.
+    """A checkerboard is the part of the variance that alternates from cell to cell.
 
-    1 % is too much.
+    It must be below 1 %.
     """
     problem.expects(
         "mass of a plate on two meshes, relative, or twice its checkerboards",

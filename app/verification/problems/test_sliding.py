@@ -45,7 +45,7 @@ def nodal_areas(run: Run, on: Bools) -> Floats:
 
 
 def pressures(run: Run) -> tuple[Floats, Floats, Floats]:
-    """Area and pressure of the interface, and distance from z, by node (n,)."""
+    """Area, pressure and distance from z of each node (n,) of the interface."""
     (name,) = run.contacts
     r = np.hypot(*run.points[:, :2].T)
     return nodal_areas(run, run.on_interface(name)), run.at_interface(name, "pressure"), r
@@ -76,7 +76,7 @@ def test_slip_cup(problem: KnownProblem) -> None:
     runs = problem.solve_each(CUP, changes_of_runs)
 
     def pressed(run: Run, clearance: float) -> Comparison:
-        """Way of the ball after first touch; mean pressure within 20 degrees of the pole."""
+        """Displacement of the ball after first touch; mean pressure near the pole (20 degrees)."""
         area, p, r = pressures(run)
         area_near_pole = area * (r < np.tan(np.radians(20)) * run.points[:, 2])
         travel = run.step_record["bearing centre.z [mm]"][-1] - clearance
@@ -105,7 +105,7 @@ def test_slip_thin_layer(problem: KnownProblem) -> None:
 
 @verify
 def test_slip_steady(problem: KnownProblem) -> None:
-    """Energy of the last step over its torque times 5 degrees."""
+    """The energy of the last step is compared with its torque times 5 degrees."""
     problem.expects(
         "work of a turn over M dtheta, relative", tolerance=1e-8, source="work of a torque"
     )
@@ -205,7 +205,10 @@ HERTZ = exact.hertz_point(100.0, 60.0, exact.contact_modulus((1e3, 0.3)))
 
 @verify
 def test_slip_hertz(problem: KnownProblem) -> None:
-    """Peak pressure by that within 0.6 a; radius by the second moment, 2/5 a^2; spin torque."""
+    """The peak pressure comes from the pressure within 0.6 a.
+
+    The radius comes from the second moment 2/5 a^2. The spin torque is compared too.
+    """
     problem.expects(
         "peak pressure, radius and torque of a ball that spins on a block, relative",
         tolerance=0.01,
@@ -244,7 +247,10 @@ def test_slip_ball_rolls(problem: KnownProblem) -> None:
 @verify
 @quick
 def test_slip_drawn(problem: KnownProblem) -> None:
-    """Force and work of all four ways; height and pressure after the last against the second."""
+    """Force and work of all four paths.
+
+    Height and pressure after the last path are those after the second.
+    """
     problem.expects(
         "force to and fro and work, over mu N; 100 times what a second cycle changes, relative",
         tolerance=1e-7,
