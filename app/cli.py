@@ -35,7 +35,8 @@ from app.command_line.commands import dispatch
 from app.command_line.parser import parser
 from app.command_line.streams import painted, silence
 from app.foundation import files
-from app.foundation.errors import InputError, MantleError, RankError, all_ranks_arrive
+from app.foundation.collective import all_ranks_arrive
+from app.foundation.errors import InputError, MantleError, RankError
 from app.soundness import memory
 from app.system import form_cache, ranks
 from app.system.folders import settle_cache

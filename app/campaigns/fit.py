@@ -51,7 +51,7 @@ from app.case import fit as fit_file
 from app.case.fit import FitProblem
 from app.case.points import short_keys
 from app.foundation.arrays import Floats
-from app.foundation.errors import gravest
+from app.foundation.errors import worst_error
 from app.foundation.verdict import Severity
 from app.system.folders import write_json, write_text
 
@@ -183,7 +183,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> FitRecord | N
     (start,) = evaluate({"start": start_fractions})
     if not start.done:
         message = f"the first run failed: {start.message}; choose another start of the keys"
-        raise gravest([start.exit_code], message)
+        raise worst_error([start.exit_code], message)
     search = _reach_targets if fit.targets else _find_extremum
     outcome = search(evaluate, start)
     identified = None

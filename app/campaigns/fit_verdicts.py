@@ -12,7 +12,7 @@ from app.campaigns.identifiability import KNOWN_RANGE, Identifiability
 from app.case.fit import FitProblem
 from app.case.points import short_keys
 from app.foundation.arrays import Floats
-from app.foundation.errors import ConvergenceError, UnusableError, gravest
+from app.foundation.errors import ConvergenceError, UnusableError, worst_error
 from app.foundation.verdict import Severity, Verdict, recorded, texts_of
 
 # Deviation from its target that makes a number doubtful [standard uncertainties].
@@ -176,4 +176,4 @@ def raise_faults(fit_record: FitRecord) -> None:
         codes = (
             [UnusableError.exit_code] if fit_record["converged"] else [ConvergenceError.exit_code]
         )
-        raise gravest(codes, "\n".join(errors))
+        raise worst_error(codes, "\n".join(errors))

@@ -18,7 +18,7 @@ from app.case import quantities
 from app.case import study as study_file
 from app.case.case import Case, PlannedRun
 from app.case.study import Study
-from app.foundation.errors import InputError, gravest
+from app.foundation.errors import InputError, worst_error
 from app.schema.yaml_file import key_parts
 from app.system import folders
 from app.system.layout import duration, percent
@@ -41,7 +41,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     Raises:
         InputError: The file or its points have errors (all are in one message, before anything
             runs).
-        MantleError: All runs failed; the error has the gravest exit code.
+        MantleError: All runs failed; the error has the highest exit code.
         StoppedError: Interrupted; the same command continues.
     """
     study, planned, common = study_file.read(path, overrides)
@@ -67,7 +67,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     log.info("%s: written in %s", ", ".join(written_files), options.folder)
     if all(r.exit_code for r in results):
         message = f"every run of the study failed:\n{results[0].message}"
-        raise gravest([r.exit_code for r in results], message)
+        raise worst_error([r.exit_code for r in results], message)
 
 
 def _selected_runs(planned: Sequence[PlannedRun], options: Options) -> list[PlannedRun]:

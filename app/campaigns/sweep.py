@@ -21,7 +21,7 @@ from app.campaigns.batch import Options
 from app.campaigns.runs import Result, reason
 from app.campaigns.uncertainty import PartSpread
 from app.case import sweep as sweep_file
-from app.foundation.errors import gravest
+from app.foundation.errors import worst_error
 from app.results import run_table
 from app.results.run_table import SweepRow
 from app.results.verdicts import UNUSABLE
@@ -65,7 +65,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     Raises:
         InputError: The file or its cases have errors (all are in one message, before anything
             runs).
-        MantleError: Some cases failed; the error has the gravest exit code. The others are done.
+        MantleError: Some cases failed; the error has the highest exit code. The others are done.
         StoppedError: Interrupted; the same command continues.
     """
     sweep, planned = sweep_file.read(path, overrides)
@@ -109,7 +109,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     if failed_rows:
         reasons = [f"{r['name']}: {reason(r['message'])} (in {r['folder']})" for r in failed_rows]
         heading = f"{len(failed_rows)} of {len(rows)} cases failed or are not to be used:"
-        raise gravest([r["exit_code"] for r in failed_rows], "\n".join([heading, *reasons]))
+        raise worst_error([r["exit_code"] for r in failed_rows], "\n".join([heading, *reasons]))
 
 
 def _row(result: Result, folder: Path) -> SweepRow:

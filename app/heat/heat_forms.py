@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 from ufl.core.expr import Expr
 
 from app.foundation.arrays import Bools, Field, Floats, Ints
+from app.foundation.collective import everywhere
 from app.foundation.dolfinx_features import exterior_facets
-from app.foundation.errors import everywhere
 from app.laws.heat_conditions import Convection, FixedTemperature, HeatFlux, HeatSource, Perfusion
 from app.laws.thermal import Thermal
 from app.numerics.lifetime import function_space

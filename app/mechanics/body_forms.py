@@ -31,8 +31,9 @@ from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
 from app.foundation.arrays import Field, Floats
+from app.foundation.collective import everywhere
 from app.foundation.dolfinx_features import exterior_facets
-from app.foundation.errors import InputError, everywhere
+from app.foundation.errors import InputError
 from app.laws.densities import density, modulus
 from app.laws.loads import Patch
 from app.laws.materials import Elastic

@@ -15,7 +15,8 @@ import numpy as np
 from dolfinx import fem
 
 from app.foundation.arrays import Bools, Floats, Ints
-from app.foundation.errors import InputError, everywhere
+from app.foundation.collective import everywhere
+from app.foundation.errors import InputError
 from app.interfaces.interface_facets import gather
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.followers import Followers

@@ -44,7 +44,7 @@ from scipy.linalg import get_lapack_funcs
 from scipy.sparse import bsr_array, csr_array, diags_array, vstack
 
 from app.foundation.arrays import Floats, Ints
-from app.foundation.errors import on_root
+from app.foundation.collective import on_root
 from app.numerics.factor import factor_class
 from app.numerics.lifetime import python_mat
 from app.numerics.paired_compliance import PairedCompliance

@@ -25,7 +25,8 @@ from app.case import quantities
 from app.case.case import load
 from app.case.quantities import TABLE, Quantity, in_print, printed
 from app.case.summary import Numbers, Summary, name_of_implant
-from app.foundation.errors import InputError, MantleError, StoppedError, distribute_tasks, on_root
+from app.foundation.collective import distribute_tasks, on_root
+from app.foundation.errors import InputError, MantleError, StoppedError
 from app.foundation.verdict import Severity, recorded
 from app.plots import curves, figures
 from app.report import (

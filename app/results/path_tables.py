@@ -15,7 +15,8 @@ import numpy as np
 
 from app.case.case import Case
 from app.foundation.arrays import Floats, Ints
-from app.foundation.errors import InputError, on_root
+from app.foundation.collective import on_root
+from app.foundation.errors import InputError
 from app.results.field_output import (
     FieldGroup,
     OutputNodes,

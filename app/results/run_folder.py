@@ -23,7 +23,8 @@ from app import __version__
 from app.case import quantities
 from app.case.summary import Summary
 from app.foundation import files
-from app.foundation.errors import StoppedError, on_root
+from app.foundation.collective import on_root
+from app.foundation.errors import StoppedError
 from app.results.field_output import FieldGroup, Fields
 from app.results.interface_numbers import ContactSamples
 from app.results.path_tables import PathTables

@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from app.foundation import files
-from app.foundation.errors import on_root
+from app.foundation.collective import on_root
 
 Array = npt.NDArray[Any]
 

@@ -19,7 +19,8 @@ from mpi4py import MPI
 from app.case.case import Case
 from app.case.quantities import TABLE, in_words
 from app.case.summary import EstimatedErrors, Summary
-from app.foundation.errors import ConvergenceError, GeometryError, StoppedError, agree
+from app.foundation.collective import agree
+from app.foundation.errors import ConvergenceError, GeometryError, StoppedError
 from app.results import error_estimate
 from app.results.error_estimate import Companion, Orders, is_zero, largest_of_units
 from app.simulation.model import Model

@@ -12,7 +12,8 @@ import logging
 from app.case.case import Case
 from app.case.quantities import TABLE, numbers_of
 from app.case.summary import BoneInfluence, Summary
-from app.foundation.errors import ConvergenceError, GeometryError, agree
+from app.foundation.collective import agree
+from app.foundation.errors import ConvergenceError, GeometryError
 from app.results.error_estimate import largest_of_units
 from app.simulation.model import Model
 from app.system.layout import percent

@@ -24,7 +24,8 @@ import numpy as np
 
 from app import __version__
 from app.case.case import Case, plain
-from app.foundation.errors import InputError, everywhere, on_root
+from app.foundation.collective import everywhere, on_root
+from app.foundation.errors import InputError
 from app.foundation.files import write_bytes
 from app.numerics.saved_state import Array, Rows, collect, fill, restore
 from app.simulation.model import Model

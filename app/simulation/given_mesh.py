@@ -7,7 +7,8 @@ from pathlib import Path
 
 import meshes
 from app.case.case import LoadedCase, load
-from app.foundation.errors import InputError, on_root
+from app.foundation.collective import on_root
+from app.foundation.errors import InputError
 from app.schema import yaml_file
 from app.system.folders import write_text
 from meshes.distribute import TaggedMesh, gather

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import meshes
 from app.case.case import Case
 from app.case.summary import Summary, merge
-from app.foundation.errors import on_root
+from app.foundation.collective import on_root
 from app.foundation.verdict import Verdict
 from app.mechanics.contact import TrialState
 from app.mechanics.predictors import Predictor, WarmStart

@@ -16,13 +16,8 @@ from mpi4py import MPI
 from app.case.case import LoadedCase, PlannedRun, dump
 from app.case.run_options import CheckpointOptions
 from app.case.summary import Summary
-from app.foundation.errors import (
-    ConvergenceError,
-    EnvironmentProblem,
-    StoppedError,
-    agree,
-    on_root,
-)
+from app.foundation.collective import agree, on_root
+from app.foundation.errors import ConvergenceError, EnvironmentProblem, StoppedError
 from app.foundation.verdict import Severity, Verdict, note
 from app.numerics import lifetime
 from app.numerics.krylov import condition_number

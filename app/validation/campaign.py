@@ -24,7 +24,7 @@ from app.campaigns import batch, uncertainty
 from app.campaigns.batch import Options
 from app.campaigns.runs import Result
 from app.case.case import PlannedRun
-from app.foundation.errors import EnvironmentProblem, InputError, gravest
+from app.foundation.errors import EnvironmentProblem, InputError, worst_error
 from app.results.reading import Results
 from app.system import layout
 from app.system.folders import csv_text, remove, write_json, write_text
@@ -172,7 +172,7 @@ def _results(
     """Results of the runs of each experiment.
 
     Raises:
-        MantleError: Runs outside of the samples failed, with the gravest exit code.
+        MantleError: Runs outside of the samples failed, with the highest exit code.
     """
     all_runs = [run for runs in planned.values() for run in runs]
     results = iter(batch.run(all_runs, options.folder, options.cores, options.slurm))
@@ -185,7 +185,7 @@ def _results(
     ]
     if failed:
         lines = [f"{name}: {r.planned.name}: {r.message}" for name, r in failed]
-        raise gravest([r.exit_code for _, r in failed], "\n".join(lines))
+        raise worst_error([r.exit_code for _, r in failed], "\n".join(lines))
     return by_name
 
 

@@ -25,7 +25,7 @@ from app.campaigns.runs import runs_of
 from app.case import sweep as sweep_file
 from app.case.case import PlannedRun, load, plain
 from app.cli import main
-from app.foundation.errors import ConvergenceError, StoppedError, gravest
+from app.foundation.errors import ConvergenceError, StoppedError, worst_error
 from app.schema import yaml_file
 from app.soundness import cost
 from tests import support
@@ -235,12 +235,12 @@ def test_sweep_ignores_foreign_folders(bench: Bench, saved: str) -> None:
     assert "PWNED" not in (bench.out / "jobs.json").read_text()
 
 
-def test_sweep_exit_code_is_the_gravest() -> None:
-    assert gravest([4, 3, 4], "").exit_code == 4
-    assert gravest([5, 2], "").exit_code == 5
-    assert gravest([4, 69], "").exit_code == 69
-    assert gravest([69, 1], "text").exit_code == 70
-    assert str(gravest([4], "text")) == "text"
+def test_sweep_exit_code_is_the_highest() -> None:
+    assert worst_error([4, 3, 4], "").exit_code == 4
+    assert worst_error([5, 2], "").exit_code == 5
+    assert worst_error([4, 69], "").exit_code == 69
+    assert worst_error([69, 1], "text").exit_code == 70
+    assert str(worst_error([4], "text")) == "text"
 
 
 CONTROLLER = """\

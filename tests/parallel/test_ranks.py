@@ -271,7 +271,8 @@ def test_ranks_error_on_one_is_printed_once_and_ends_all(tmp_path: Path) -> None
 
 DEALT = """
 from mpi4py import MPI
-from app.foundation.errors import InputError, distribute_tasks
+from app.foundation.collective import distribute_tasks
+from app.foundation.errors import InputError
 
 comm = MPI.COMM_WORLD
 
