@@ -45,7 +45,7 @@ class CycleHeat(Record):
         self._problem, self._step, self._scene = problem, step, problem.scene
         assert problem.contact is not None and problem.contact.finite_sliding is not None
         self._contact, self._finite_sliding = problem.contact, problem.contact.finite_sliding
-        self.time, self.dissipated = 0.0, self._contact.local.weight * 0.0
+        self.time, self.dissipated = 0.0, np.zeros_like(self._contact.local.weight)
         self.steps: list[Floats] = []
         self.cycle = [self._state(1.0, 0.0, self.dissipated, self.dissipated)]
         self._changed = True

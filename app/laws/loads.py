@@ -148,7 +148,7 @@ class Load(Extensible, Named):
 
     def density_at(self, x: Floats) -> Floats:
         """Force per volume at points (n, 3) [N/mm3]."""
-        return 0.0 * x
+        return np.zeros_like(x)
 
     def as_moving_force(self, driven_boundaries: Container[str | None]) -> Force | None:
         """Return the load if it is a force with a cycle table or a motion, else None.

@@ -70,7 +70,7 @@ class Support(Named):
 
     def values(self, x: Floats) -> Floats:
         """Displacement at points at full amplitude (n, 3) [mm], zero along free axes."""
-        return 0.0 * x
+        return np.zeros_like(x)
 
 
 class Fixed(Support):

@@ -308,7 +308,7 @@ class ContactInterfaces:
             self.finite_sliding.begin(scene)
         self._committed_time = 0.0
         self.state: ContactState = ContactState.at_rest(
-            self.local.x * 0.0, self.laws.internal_variables
+            np.zeros_like(self.local.x), self.laws.internal_variables
         )
         self.committed_jump = self.state.jump
         self.set_time(0.0)

@@ -36,7 +36,7 @@ class Forces:
     """Loads, eigenstrains and free strains of a scene; made collectively.
 
     Args:
-        known: Forces of the same problem, whose assembled vectors are reused.
+        reuse: Forces of the same problem, whose assembled vectors are reused.
     """
 
     def __init__(

@@ -55,7 +55,7 @@ class SlidingBodies:
         """Begin a run at rest; collective."""
         self._followers.begin(scene)
         self._committed = self._committed_forces = self._followers.split_translations(
-            self._nodal * 0.0
+            np.zeros_like(self._nodal)
         )
         self.work = 0.0
 

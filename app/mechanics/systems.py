@@ -189,7 +189,7 @@ class ContactSystem(BondedSystem):
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """The generalized Jacobian of the contact points."""
         contact = self.contact
-        self.parts()
+        self.uncondensed_matrices()
         self.trial = self._problem.trial(*x)
         factors, added_blocks = contact.row_factors(self.trial.forces)
         self.law_status = self.trial.forces.status
@@ -228,7 +228,7 @@ class ContactSystem(BondedSystem):
         loads = [displacement_by_motions(self._problem, m).dot(self._problem.f) for m in motions.T]
         return np.asarray(self.comm.allreduce(np.einsum("pik,pi->k", jumps, forces)) + loads)
 
-    def exact(self, linear: str) -> Condensed | None:
+    def condensed(self, linear: str) -> Condensed | None:
         """Condensed onto the jumps, if that is asked for or takes less time; collective."""
         problem, comm = self._problem, self.comm
         if not self._solves or linear not in ("auto", "condensed"):
@@ -248,7 +248,7 @@ class ContactSystem(BondedSystem):
         log.info("solver: %s", choice.description(linear, condensed is not None))
         return condensed
 
-    def parts(self) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
+    def uncondensed_matrices(self) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
         """Stiffness, coupling without constrained rows, stiffness of the jumps."""
         if self._coupling_version != self._problem.stiffness.version:
             self._coupling_version = self._problem.stiffness.version
@@ -312,10 +312,10 @@ class ContactSystem(BondedSystem):
         step_jumps = x[1].array_r.reshape(-1, 3) - contact.reference
         gram = np.einsum("p,pik,pil->kl", w, jumps, jumps)
         work = np.einsum("p,pik,pi->k", w, jumps, step_jumps)
-        block_norm = np.einsum("p,pi,pi->", w, step_jumps, step_jumps)
-        gram, work, block_norm = (self.comm.allreduce(v) for v in (gram, work, block_norm))
+        step_square = np.einsum("p,pi,pi->", w, step_jumps, step_jumps)
+        gram, work, step_square = (self.comm.allreduce(v) for v in (gram, work, step_square))
         amplitudes = np.linalg.lstsq(gram, work, rcond=None)[0]
-        if work @ amplitudes <= MOTION_ROUNDING**2 * block_norm:
+        if work @ amplitudes <= MOTION_ROUNDING**2 * step_square:
             return False
         x[1].array[:] -= (jumps @ amplitudes).ravel()
         x[0].axpy(-1.0, displacement_by_motions(problem, motions @ amplitudes))

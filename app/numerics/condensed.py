@@ -89,7 +89,7 @@ class Condensable(Protocol):
     def pair_matrices(self) -> tuple[PETSc.Mat, PETSc.Mat] | None:
         """Two matrices: from current master unknowns to the points, from all to the masters."""
 
-    def parts(self) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
+    def uncondensed_matrices(self) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
         """K, C without constrained rows, and D."""
 
     def forces(self, x: list[PETSc.Vec]) -> tuple[Floats, Floats, float]:
@@ -118,7 +118,7 @@ class Condensed:
     def __init__(self, contact: Condensable) -> None:
         self._contact = contact
         self.reduced = JumpSystem(self, contact)
-        matrices = contact.parts()
+        matrices = contact.uncondensed_matrices()
         self._comm = matrices[0].comm.tompi4py()
         self._threads = usable_cores(self._comm)
         self._jumps, self._local_size = matrices[2].getSize()[0], matrices[2].getLocalSize()[0]
@@ -164,7 +164,7 @@ class Condensed:
         pairs = self._pair_matrix()
         if self._body_version != body_version:
             if self._body_version >= 0:
-                self._bodies.renew(self._contact.parts())
+                self._bodies.renew(self._contact.uncondensed_matrices())
             S = self._bodies.factorize()
             if S is not None:
                 self._S = S
@@ -341,7 +341,7 @@ class JumpSystem(MatrixFree, Reduced):
 
     def __init__(self, condensed: Condensed, contact: Condensable) -> None:
         self._condensed, self._contact = condensed, contact
-        D = contact.parts()[2]
+        D = contact.uncondensed_matrices()[2]
         self.comm = D.comm.tompi4py()
         self._jumps = D.createVecLeft()
         self.operator = python_mat(self, self._jumps.getSizes(), self.comm)

@@ -73,7 +73,7 @@ class Linear:
             self.matrix.assemble()
         # Options for parts of a Krylov method ask for one.
         asks_for_krylov = any(key.startswith(("ksp_", "pc_", "fieldsplit_")) for key in raw_options)
-        self.exact = None if asks_for_krylov else system.exact(linear)
+        self.exact = None if asks_for_krylov else system.condensed(linear)
         if self.exact:
             self.options: Options = {"ksp_type": "preonly"}
         options_by_block = {} if self.exact else system.options(linear)

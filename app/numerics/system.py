@@ -154,7 +154,7 @@ class System(Protocol):
         """
         return False
 
-    def exact(self, linear: str) -> Exact | None:
+    def condensed(self, linear: str) -> Exact | None:
         """The inverse of the Jacobian, where it is to be used."""
         return None
 
@@ -204,7 +204,7 @@ class MatrixFree(System, Exact, Protocol):
         """Return no options: the inverse is exact."""
         return {}
 
-    def exact(self, linear: str) -> Exact:
+    def condensed(self, linear: str) -> Exact:
         """Return the system itself."""
         return self
 

@@ -110,7 +110,7 @@ class Writer:
         groups: Sources of the fields: mechanics and heat, or one of them.
         resolved: The resolved configuration, as YAML.
         record: Function that returns the provenance when the run ends.
-        again: True if the run restarts, so that existing files stay.
+        resumed: True if the run restarts, so that existing files stay.
         paths: Files of paths, if the case has some.
 
     Attributes:

@@ -24,7 +24,7 @@ from app.results.cycles import Cycles
 from app.results.interface_numbers import ContactSamples
 from app.results.run_folder import UNITS, Writer
 from app.scene.scene import Stage
-from app.simulation.model import Model
+from app.simulation.model import Mechanical, Model
 from app.soundness import failure
 from app.stepping.heat_state import HeatStep
 from app.stepping.load_steps import Effort, LoadStep
@@ -137,14 +137,15 @@ class Recorder:
             if trial is not None:
                 pressures = self.contact_state["pressures"].astype(np.float64)
                 status = self.contact_state["status"].astype(np.int64)
-                law = replace(trial.forces, pressures=pressures, status=status)
-                trial = replace(trial, forces=law)
-                jump_at_valley = self.valley.get("jump")
-                self.samples = ContactSamples(
-                    mechanics.problem, trial, jump_at_valley, mechanics.surfaces
-                )
+                forces = replace(trial.forces, pressures=pressures, status=status)
+                self._set_samples(mechanics, replace(trial, forces=forces))
         if self.writer.fields and not self.writer.field_steps:
             self.fields_at = 0
+
+    def _set_samples(self, mechanics: Mechanical, trial: TrialState) -> None:
+        """Sample the contact points of a state; collective."""
+        jump_at_valley = self.valley.get("jump")
+        self.samples = ContactSamples(mechanics.problem, trial, jump_at_valley, mechanics.surfaces)
 
     def add_time(self, seconds: Mapping[str, float]) -> None:
         """Add the wall time before a restart, by phase as in `seconds` [s]."""
@@ -152,7 +153,7 @@ class Recorder:
         for phase in [p for p in seconds if p != "total"]:
             self._timing.seconds[phase] = self._timing.seconds.get(phase, 0.0) + seconds[phase]
 
-    def stage(self, stage: Stage) -> None:
+    def begin_stage(self, stage: Stage) -> None:
         """Begin a stage: its first log line gets a header."""
         self._stage = stage
         if not _has_valleys(stage):  # inducible motion is that of the last cycle of the run
@@ -160,7 +161,7 @@ class Recorder:
         columns = closing_lines.HEAT if stage.takes_time else closing_lines.STEP
         self._header = closing_lines.line(columns, columns)
 
-    def step(self, step: LoadStep, trial: TrialState | None) -> None:
+    def record_step(self, step: LoadStep, trial: TrialState | None) -> None:
         """Record a step of the mechanics; collective."""
         with self._timing.phase("output"):
             mechanics, balance = self._model.mechanics, self.balance
@@ -171,10 +172,7 @@ class Recorder:
                     "pressures": trial.forces.pressures,
                     "status": trial.forces.status,
                 }
-                jump_at_valley = self.valley.get("jump")
-                self.samples = ContactSamples(
-                    mechanics.problem, trial, jump_at_valley, mechanics.surfaces
-                )
+                self._set_samples(mechanics, trial)
             self.total.count(step.outcome)
             stem_motion = mechanics.stem(self._case.side)
             self.mechanical_row = self._mechanical_columns(step, balance, stem_motion)
@@ -194,7 +192,7 @@ class Recorder:
         if trial is not None and reversal % 2 == 0:
             self.valley = {"jump": trial.jump.copy()}
 
-    def heat(self, step: LoadStep, accepted: HeatStep) -> None:
+    def record_heat_step(self, step: LoadStep, accepted: HeatStep) -> None:
         """Record a step of the heat, with the mechanics at its end; collective."""
         with self._timing.phase("output"):
             self.total.count(accepted.outcome)

@@ -318,10 +318,10 @@ class _CaseRun:
         """Solve all stages; collective."""
         with self._last_state_kept():
             return self._model.run(
-                self._recorder.step,
-                self._recorder.heat,
+                self._recorder.record_step,
+                self._recorder.record_heat_step,
                 lambda s: log.info("     %s", s),
-                self._recorder.stage,
+                self._recorder.begin_stage,
                 self._checkpoints.mark,
                 self._checkpoints.resume,
             )

@@ -1,6 +1,7 @@
 """Bodies on a mesh, before solving: pieces that move together, and bodies that nothing holds.
 
-`BodiesOnMesh` refuses a case in which a body floats. The pieces of the mesh are joined to bodies.
+`floating_bodies` returns errors for a body that floats; `well_posedness.check_on_mesh` then refuses
+the case. The pieces of the mesh are joined to bodies.
 Each support removes the directions that it holds from the rigid motions of its body. A motion that
 is left, and that contact with no other body resists, is free.
 
