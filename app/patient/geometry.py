@@ -340,12 +340,13 @@ class Patient(OperatedHip):
     @property
     def _continued(self) -> dict[str, str]:
         """The continued part of the shaft, in words."""
-        end_level = self.continued_below
-        if end_level is None:
+        end_level, continuation = self.continued_below, self.femur.continuation
+        if end_level is None or continuation is None:
             return {}
         plug_z = float(self.placement.to_model([0.0, 0.0, self.implant.plug])[2])
         range_text = (
-            f"below z = {end_level:.0f} mm, where the scan ends: {end_level - self.level:.0f} mm"
+            f"below z = {end_level:.0f} mm, {end_level - continuation.scan_end:.0f} mm above the"
+            f" level where the scan ends: {end_level - self.level:.0f} mm"
         )
         beside_stem = (
             f", {end_level - plug_z:.0f} mm of them beside stem and plug"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import random
 import re
@@ -15,8 +16,8 @@ import numpy as np
 import pydicom
 import pytest
 
-from app.foundation.errors import InputError
-from app.patient import dicom_series, images, label_image, label_surface
+from app.foundation.errors import GeometryError, InputError
+from app.patient import bone_surface, dicom_series, images, label_image, label_surface
 from tests.patient.bones import enhanced, slices
 
 SHAPE = (12, 10, 8)
@@ -167,6 +168,15 @@ def test_images_files_of_other_kinds_have_a_remedy(name: str, tmp_path: Path) ->
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError, match=rf"{re.escape(name)}: {message}"):
         images.read(tmp_path / name)
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_images_text_under_the_name_of_an_image_is_named(compressed: bool, tmp_path: Path) -> None:
+    content = b"femur 75\n" * 20
+    path = tmp_path / "labels.nii.gz"
+    path.write_bytes(gzip.compress(content) if compressed else content)
+    with pytest.raises(InputError, match=r"labels\.nii\.gz: is a text file, not an image"):
+        images.read(path)
 
 
 def test_images_header_and_numbers_in_two_files_are_both_its_files(tmp_path: Path) -> None:
@@ -749,3 +759,23 @@ def test_images_damaged_files_are_read_or_refused(folder: Path, tmp_path: Path) 
         except BaseException as error:
             raise AssertionError(f"seed {seed}: {name}") from error
     assert dicom_series.is_dicom(whole["dicom"])
+
+
+@pytest.mark.parametrize(
+    ("edge", "units"),
+    [(7.2, None), (0.72, "cm"), (7.2 / 25.4, "cm or inch"), (0.0072, "m")],
+)
+def test_bone_surface_of_an_image_in_another_unit_names_it(
+    edge: float, units: str | None, tmp_path: Path
+) -> None:
+    """40 voxels of 7.2 mm are 288 mm long, as a femur; 288 mm are 11.3 inch, or 113 mm by cm."""
+    values = np.zeros((12, 12, 44), np.uint8)
+    values[3:9, 3:9, 2:42] = 1
+    affine = np.diag([edge, edge, edge, 1.0])
+    nibabel.Nifti1Image(values, affine).to_filename(tmp_path / "labels.nii")
+    if units is None:
+        bone_surface.read(tmp_path / "labels.nii", label=1)
+        return
+    with pytest.raises(GeometryError, match=rf"is the unit of the image {units}\?") as caught:
+        bone_surface.read(tmp_path / "labels.nii", label=1)
+    assert "or give the label of the femur" in str(caught.value)
