@@ -185,8 +185,8 @@ def _ingrowth(summary: Summary) -> Iterable[Verdict]:
             continue
         motion = "micromotion"
         motion_text = (
-            "The motion includes the permanent part: it is that since the insertion. `cycles` with a"
-            " `history` of the loads separate both."
+            "The motion includes the permanent part: it is that since the insertion. `cycles` with"
+            " a `history` of the loads separate both."
         )
         zones = {f"zone {zone}": part for zone, part in q.get("zones", {}).items()}
         of_stages = {

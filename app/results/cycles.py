@@ -61,9 +61,9 @@ def split(dissipations: list[float], last_turns: list[Turn]) -> StageCycles:
 
     Returns:
         ``permanent``: motions in the last valley, by place and key. ``inducible``: motion from this
-        valley to the next peak; for interfaces, its 99th percentile. ``areas``: of press fits, areas
-        in which it exceeds the bounds of ingrowth. ``dissipation`` [N mm] of each cycle after the
-        first peak, and its ``trend``.
+        valley to the next peak; for interfaces, its 99th percentile. ``areas``: of press fits,
+        areas in which it exceeds the bounds of ingrowth. ``dissipation`` [N mm] of each cycle
+        after the first peak, and its ``trend``.
     """
     *_, valley, peak = last_turns if len(dissipations) % 2 else last_turns[:-1]
     permanent: Turn = {}

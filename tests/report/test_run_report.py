@@ -22,7 +22,8 @@ from app.foundation.verdict import Verdict, note
 from app.plots import curves
 from app.report import lead, pictures, run_report, step_curves, viewer
 from app.report.input_spread import InputSpread
-from app.report.page import Bullets
+from app.report.page import Bullets, PageSection, table
+from app.report.page import page as page_of
 from app.report.sweep_results import CONVERGED, SweptCase
 from app.results import verdicts
 from app.schema import yaml_file
@@ -212,6 +213,17 @@ def test_run_report_failure_begins_with_its_cause(done: Path, tmp_path: Path) ->
     cause = "No convergence in stage 'b': nothing holds body 'a'. What to do: hold it."
     assert f'<p class="lead">{cause}</p>' in html and html.count("nothing holds") == 1
     assert '<span class="bad">not converged</span>' in html and "tried: plain Newton" in html
+
+
+def test_step_curves_of_rounding_are_not_drawn() -> None:
+    """4e-12 mm of slip are rounding; a nanometre is not."""
+    columns = {
+        "time [-]": np.array([0.5, 1.0]),
+        "a slip_p99 [mm]": np.array([1e-12, 4e-12]),
+        "a gap_p99 [mm]": np.array([1e-7, 1e-6]),
+    }
+    (panel,) = step_curves.over_time(columns, at_rest=True)
+    assert panel.title.startswith("gap")
 
 
 def test_step_curves_begin_at_rest() -> None:
@@ -449,3 +461,15 @@ def test_run_report_has_landmarks_if_the_files_of_the_case_are_there(tmp_path: P
 )
 def test_run_report_places_in_words(place: str, words: str) -> None:
     assert place_in_words(place) == words
+
+
+@pytest.mark.parametrize(
+    ("interface", "is_cemented"), [("stem-cement", True), ("stem-bone", False)]
+)
+def test_run_report_limits_of_cemented_stems_are_on_their_pages(
+    interface: str, is_cemented: bool
+) -> None:
+    blocks = table(["", interface], [["area of motion over 30 µm (mm²)", "7"]])
+    html = page_of("A", [PageSection("numbers", "Numbers", blocks)], [])
+    assert "Why 30 µm" in html
+    assert ("cemented stems" in html) == is_cemented
