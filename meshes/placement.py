@@ -307,6 +307,10 @@ def placement_of(geometry: StemInBone) -> Placement:
     return CutPlane.of(geometry).put(geometry.implant, position(geometry), geometry.femur.mirrored)
 
 
+# Beginning of the message on a stem for which the search finds no room.
+NO_POSITION = "no position within the limits of the search"
+
+
 def lengthening(geometry: PlacedStem) -> float:
     """Change of the leg length by the operation: of the height of the head along the shaft [mm]."""
     return float(stem_head(geometry)[2] - geometry.femur.head[2])
