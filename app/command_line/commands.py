@@ -213,7 +213,9 @@ def _mesh(options: argparse.Namespace) -> int:
     drawings: dict[Path, Callable[..., None]] = {path.with_suffix(".png"): draw_case}
     if case.config.geometry.mantles or case.config.geometry.laws_to_write:
         for draw in (sections.sections, sections.interfaces):
-            drawings[path.with_name(f"{path.stem}_{draw.__name__}.png")] = draw
+            file = path.with_name(f"{path.stem}_{draw.__name__}.png")
+            is_mirrored = case.config.geometry.is_mirrored
+            drawings[file] = partial(draw, title=sections.MIRRORED if is_mirrored else "")
     try:
         meshes.write_msh(data, path)
         print(path)

@@ -182,7 +182,14 @@ class Patient(OperatedHip):
                 max(plug_z - SHAFT_BELOW_PLUG, lowest_z + 3.0), 1
             )
         if not lowest_z + 2.0 < level < plug_z - 2.0:
-            message = f"{level:g} mm is not between the end of the surface, {lowest_z:.0f} mm, and"
+            continuation = self.femur.continuation
+            end_text = f"the end of the surface, {lowest_z:.0f} mm,"
+            if continuation:
+                end_text = (
+                    f"the end of the surface, {continuation.scan_end:.0f} mm and continued to"
+                    f" {lowest_z:.0f} mm,"
+                )
+            message = f"{level:g} mm is not between {end_text} and"
             fail(f"{message} {self.plug_end}, {plug_z:.0f} mm", at=("distal_cut_z",))
         least_length = max(INSIDE * implant.length, SHORTEST_INSIDE)
         length_inside = implant.length + placement.top
@@ -313,6 +320,11 @@ class Patient(OperatedHip):
     def in_file(self, x: Floats, depth: float) -> Floats:
         """Points (n, 3) in the axes of the bone's file, moved to a least depth in the bone."""
         return self.femur.in_file(x, depth)
+
+    @property
+    def is_mirrored(self) -> bool:
+        """True for a right femur."""
+        return self.femur.mirrored
 
     @property
     def continued_below(self) -> float | None:

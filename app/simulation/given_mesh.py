@@ -27,7 +27,8 @@ def case_on(mesh: TaggedMesh, case: Mapping[str, object], folder: Path) -> Loade
     if not isinstance(mesh, TaggedMesh):
         raise InputError(
             f"mesh: is a {type(mesh).__module__}.{type(mesh).__name__}; expected a TaggedMesh,"
-            " which names the parts of a dolfinx mesh: from meshes.distribute import TaggedMesh, then"
+            " which names the parts of a dolfinx mesh:"
+            " from meshes.distribute import TaggedMesh, then"
             " TaggedMesh.from_markers(mesh, regions={NAME: marker}, boundaries={NAME: marker}), or"
             " from_tags (docs/howto/python.md)"
         )

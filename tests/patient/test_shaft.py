@@ -279,3 +279,17 @@ def test_shaft_missing_length_is_that_of_a_scan_that_is_accepted(
     assert float(found[1]) == pytest.approx(trochanter + 0.75 * frame.radius + 3.0 - below, abs=2)
     lower = landmarks.find(below_head(parametric_femur(), below + float(found[1]) + 2.0))
     assert lower.trochanter == pytest.approx(frame.trochanter, abs=2.0)
+
+
+def test_shaft_cut_below_a_continued_shaft_names_the_end_of_the_scan(tmp_path: Path) -> None:
+    """The scan ends 150 mm below the head; the shaft is continued to below the isthmus."""
+    write(tmp_path / "bone.stl", below_head(parametric_femur(), 150.0))
+    keys = {"bone": {"surface": "bone.stl", "unit": "mm"}}
+    whole = patient(tmp_path, **keys).femur
+    end = float(whole.frame.to_model(whole.frame.head)[2]) - 150.0
+    with pytest.raises(ValidationError) as caught:
+        patient(tmp_path, **keys, distal_cut_z="-400 mm")
+    found = re.search(r"surface, (-\d+) mm and continued to (-\d+) mm", str(caught.value))
+    assert found
+    assert float(found[1]) == pytest.approx(end, abs=1.0)
+    assert float(found[2]) == pytest.approx(whole.lowest, abs=1.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 import mantle
@@ -114,3 +116,26 @@ def test_preview_notes_conductance_across_open_contact() -> None:
     bond = {"kind": "bonded", "conductance": "300 W/(m^2 K)"}
     assert noted("thermal_100C.yaml", interfaces__cement_bone=bond) == ["interfaces.stem_cement"]
     assert noted("thermal_rings.yaml") == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, None),
+        ({"loads.history": [0, 0]}, "no load acts at any time: each `history` is 0"),
+        ({"loads": None}, "no load acts at any time; only the interference strains the bodies"),
+    ],
+)
+def test_preview_notes_that_no_load_acts(changes: dict[str, Any], expected: str | None) -> None:
+    notes = [n for n in texts(mantle.load(CONFIGS / "pressed.yaml", **changes).config)]
+    found = [n for n in notes if "no load acts" in n]
+    assert len(found) == (expected is not None)
+    assert expected is None or expected in found[0]
+
+
+@pytest.mark.parametrize("name", ["cylinders", "cure"])
+def test_preview_notes_no_missing_load_where_else_something_acts(name: str) -> None:
+    """A prescribed displacement, and heat."""
+    case = mantle.load(CONFIGS / f"{name}.yaml").config
+    assert not case.loads
+    assert not any("no load acts" in n for n in texts(case))
