@@ -241,6 +241,7 @@ def _with_limited_leg(proposal: Proposal, folder: Path) -> Proposal:
         return proposal
     stem = proposal.keys["stem"]
     assert isinstance(stem, dict)
+    assert isinstance(proposal.geometry.stem, Stem)
     height = proposal.geometry.stem.head_height - excess
     keys = proposal.keys | {"stem": stem | {"head_height": f"{height:g} mm"}}
     return Proposal(keys, _geometry_of(keys, folder), lowered=excess)

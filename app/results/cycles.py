@@ -82,13 +82,15 @@ def split(dissipations: list[float], last_turns: list[Turn]) -> StageCycles:
         if areas_at_peak:
             areas[owner] = areas_at_peak
     per_cycle = [b - a for a, b in pairwise(dissipations[::2])]
-    numbers: StageCycles = {
+    parts: StageCycles = {
         "permanent": permanent,
         "inducible": inducible,
         "dissipation": per_cycle,
         "trend": trend(dissipations[0], per_cycle),
     }
-    return numbers | {"areas": areas} if areas else numbers
+    if areas:
+        parts["areas"] = areas
+    return parts
 
 
 def trend(first_dissipation: float, per_cycle: list[float]) -> str:
