@@ -388,8 +388,9 @@ class _Finder:
         if self.below >= least_length or "shaft" in self.given:
             return
         found_above = self.below - (least_length - self._missing_length)
-        if found_above > FALSE_TROCHANTER * self.radius and "lesser_trochanter" not in self.given:
-            # A peak beside the neck was found, since the lesser trochanter is not in the scan.
+        is_false = self.below <= 0.0 or found_above > FALSE_TROCHANTER * self.radius
+        if is_false and "lesser_trochanter" not in self.given:
+            # What was found is none, since the lesser trochanter is not in the scan.
             raise self._without_trochanter(f"has 0 mm of complete shaft {BELOW}")
         shaft_length = max(self.below, 0.0)
         raise GeometryError(
@@ -413,7 +414,8 @@ class _Finder:
             SHORT_SHAFT_RANGE[1] * self.radius,
         )
         return GeometryError(
-            f"geometry.bone: {fault}, and ends {self.depth:.0f} mm below the head's centre."
+            f"geometry.bone: {fault}, and the surface ends {self.depth:.0f} mm below the head's"
+            " centre."
             f" The lesser trochanter usually is about {usual_depth:.0f} mm below it, and the"
             f" direction of the shaft needs {least_length:.0f} mm of shaft below that: use a scan"
             f" that ends about {self._missing_length:.0f} mm lower, or give landmarks.shaft and"

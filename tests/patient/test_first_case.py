@@ -107,6 +107,17 @@ def test_first_case_has_the_canal_of_a_ct_that_is_turned(tmp_path: Path) -> None
     assert widths[1] == pytest.approx(widths[0], abs=0.15)
 
 
+@pytest.mark.parametrize("below", [24.0, 33.0, 60.0])
+def test_first_case_says_what_a_scan_lacks(below: float, tmp_path: Path) -> None:
+    """The apex of the lesser trochanter is 51 mm below the head, and 17 and 3 mm are below it."""
+    folder = scan(tmp_path, below, edges=(1.5, 1.5, 1.5))
+    with pytest.raises(InputError, match=r"ends about \d+ mm lower") as caught:
+        first_case.write(folder / "hip", folder / "labels.nii.gz", None, None, None)
+    found = re.search(r"about (\d+) mm lower", str(caught.value))
+    assert found
+    assert float(found[1]) == pytest.approx(51.3 + 17.1 + 3.0 - below, abs=3.0)
+
+
 def test_first_case_names_no_keys_that_init_has_not(tmp_path: Path) -> None:
     """A message on keys of a case says how to give them."""
     folder = scan(tmp_path, 40.0, edges=(1.5, 1.5, 1.5))
