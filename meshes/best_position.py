@@ -26,7 +26,14 @@ from app.foundation.errors import GeometryError
 from meshes import cache, femur_stem, room
 from meshes.femur_stem import Thickness
 from meshes.geometry import HipKeys
-from meshes.placement import InsertionKeys, Placement, Position, VersionKeys, position
+from meshes.placement import (
+    NO_POSITION,
+    InsertionKeys,
+    Placement,
+    Position,
+    VersionKeys,
+    position,
+)
 from meshes.room import StemSurface, WidestCanal
 
 SEARCH_VERSION = 2  # raise it whenever the same input gives another position
@@ -306,8 +313,8 @@ def _search(geometry: SearchedHip, insertion: SearchedInsertion) -> tuple[list[f
         if geometry.least_room > 0:
             aim = f"leaves {geometry.least_room:g} mm around the stem"
         raise GeometryError(
-            "geometry.insertion: no position within the limits of the search"
-            f" {aim}; the best ({position_text}) {shortfall}"
+            f"geometry.insertion: {NO_POSITION} {aim};"
+            f" the best ({position_text}) {shortfall}"
             f" {fit_after.side} at {placement.point_in_words(fit_after.place)}; ream the canal, "
             "use a smaller or shorter stem, or widen insertion.best"
         )

@@ -32,6 +32,7 @@ from meshes.data import MeshData, faces_of
 THREADS = "SCOTCH_PTHREAD_NUMBER"
 ARRAYS = ("points", "cells", "facets", "facet_tags")  # that the other ranks get by parts
 NO_ENTITIES = np.zeros(0, dtype=np.int32)
+MOST_TAGS = 20  # tags that a message lists
 # Returns True for points (3, n) [mm] of a part of the mesh.
 Marker = Callable[[Floats], Bools]
 
@@ -76,9 +77,13 @@ class TaggedMesh:
             boundaries: Tags of each boundary.
 
         Raises:
-            InputError: The mesh has other cells, or cells without a region.
+            InputError: The mesh has other cells, cells without a region, or nothing of a name.
         """
         connect(mesh)
+        patches = {n: (t,) if isinstance(t, int) else tuple(t) for n, t in boundaries.items()}
+        tags_of_regions = {name: (tag,) for name, tag in regions.items()}
+        _check_names(mesh.comm, "regions", tags_of_regions, cell_tags)
+        _check_names(mesh.comm, "boundaries", patches, facet_tags)
         cells = mesh.topology.index_map(3)
         tagged = np.isin(cell_tags.values, list(regions.values())).sum()
         missing = cells.size_local + cells.num_ghosts - int(tagged)
@@ -88,7 +93,6 @@ class TaggedMesh:
             )
         if mesh.comm.allreduce(missing):
             raise InputError("cells without a region; tag every cell, ghosts too")
-        patches = {n: (t,) if isinstance(t, int) else tuple(t) for n, t in boundaries.items()}
         return cls(mesh, cell_tags, facet_tags, dict(regions), patches, {})
 
     @classmethod
@@ -109,9 +113,44 @@ class TaggedMesh:
         connect(mesh)
         cells = [locate_entities(mesh, 3, marker) for marker in regions.values()]
         facets = [locate_entities_boundary(mesh, 2, marker) for marker in boundaries.values()]
+        for kind, found_sets in (("regions", cells), ("boundaries", facets)):
+            names = regions if kind == "regions" else boundaries
+            sizes = [mesh.comm.allreduce(len(found)) for found in found_sets]
+            _raise_missing(kind, dict(zip(names, sizes, strict=True)), _extent(mesh))
         numbers = {name: k for k, name in enumerate(regions, 1)}
         patches = {name: k for k, name in enumerate(boundaries, 1)}
         return cls.from_tags(mesh, _tags(mesh, 3, cells), _tags(mesh, 2, facets), numbers, patches)
+
+
+def _extent(mesh: dolfinx.mesh.Mesh) -> str:
+    """Ranges of the coordinates of a mesh, in words; collective."""
+    x = mesh.geometry.x
+    far = np.full(3, np.inf)
+    low = [mesh.comm.allreduce(float(v), MPI.MIN) for v in (x.min(axis=0) if len(x) else far)]
+    high = [mesh.comm.allreduce(float(v), MPI.MAX) for v in (x.max(axis=0) if len(x) else -far)]
+    ranges = ", ".join(f"{a} {b:g} to {c:g}" for a, b, c in zip("xyz", low, high, strict=True))
+    return f"the mesh has {ranges} mm"
+
+
+def _check_names(
+    comm: MPI.Comm, kind: str, tags: Mapping[str, tuple[int, ...]], found: MeshTags
+) -> None:
+    """Raise InputError if none of the tags of a name exists; collective."""
+    sizes = {
+        name: comm.allreduce(int(np.isin(found.values, list(numbers)).sum()))
+        for name, numbers in tags.items()
+    }
+    known = sorted(set().union(*comm.allgather({int(tag) for tag in found.values})))
+    tag_list = ", ".join(map(str, known[:MOST_TAGS])) + (", ..." if known[MOST_TAGS:] else "")
+    _raise_missing(kind, sizes, f"the tags are {tag_list}" if known else "there are no tags")
+
+
+def _raise_missing(kind: str, sizes: Mapping[str, int], existing: str) -> None:
+    """Raise InputError if a name has no entities: which, and what exists."""
+    missing = [name for name, size in sizes.items() if not size]
+    if missing:
+        entities = "cell" if kind == "regions" else "exterior facet"
+        raise InputError(f"{kind}: no {entities} is marked {', '.join(missing)}; {existing}")
 
 
 def connect(mesh: dolfinx.mesh.Mesh) -> None:

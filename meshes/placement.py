@@ -26,6 +26,8 @@ from meshes import femur_stem
 ROUNDING = 1e-12  # of a cut's normal: rounded off
 # Least depth of a shoulder below the cut [mm]; a higher one counts as at the cut.
 LEAST_SHOULDER_DEPTH = 2.5
+# Beginning of the message on a stem for which the search finds no room.
+NO_POSITION = "no position within the limits of the search"
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no one truth: geometries compare their keys

@@ -262,6 +262,11 @@ class Shape(Extensible):
         return min((ratio * length for length, ratio in self.spans.values()), default=math.inf)
 
     @property
+    def is_mirrored(self) -> bool:
+        """True if the model is the mirror image of the patient's bone: a right femur."""
+        return False
+
+    @property
     def continued_below(self) -> float | None:
         """Level below which bone is continued, not measured (mm); None: all of it is measured."""
         return None

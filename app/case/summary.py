@@ -73,6 +73,7 @@ class StageCycles(TypedDict, total=False):
     Attributes:
         permanent: Motions in the last valley [mm, deg].
         inducible: Changes of these motions from the last valley to the last peak [mm, deg].
+        areas: Areas of inducible motion above the bounds of ingrowth, by press fit [mm2].
         change: With finite sliding, relative differences of the last two cycles.
         dissipation: Work of friction from peak to peak [N mm].
         trend: Trend of the dissipation: ``vanishes``, ``stays``, ``falls`` or ``grows``.
@@ -80,6 +81,7 @@ class StageCycles(TypedDict, total=False):
 
     permanent: dict[str, dict[str, float]]
     inducible: dict[str, dict[str, float]]
+    areas: dict[str, dict[str, float]]
     change: dict[str, dict[str, float]]
     dissipation: list[float]
     trend: str

@@ -12,10 +12,10 @@ import logging
 import os
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import meshes
 from app.case import explanations, gmsh_header, keys, new_case, overlay
@@ -24,13 +24,16 @@ from app.case.case import load as load_case
 from app.command_line import actions
 from app.command_line.parser import options_of_commands, parser
 from app.command_line.streams import configure_log, painted, pass_colours
+from app.foundation import verdict
 from app.foundation.errors import EnvironmentProblem, InputError, stack_needed
 from app.schema.section import did_you_mean
+from app.schema.yaml_file import Fault
 from app.simulation import finished_runs
 from app.soundness import cost, memory
 from app.system import doctor, ranks, stopping
 from app.system.folders import prepare_run
 from app.system.ranks import rank
+from meshes.placement import NO_POSITION
 
 if TYPE_CHECKING:
     from app.campaigns.batch import Options
@@ -210,7 +213,9 @@ def _mesh(options: argparse.Namespace) -> int:
     drawings: dict[Path, Callable[..., None]] = {path.with_suffix(".png"): draw_case}
     if case.config.geometry.mantles or case.config.geometry.laws_to_write:
         for draw in (sections.sections, sections.interfaces):
-            drawings[path.with_name(f"{path.stem}_{draw.__name__}.png")] = draw
+            file = path.with_name(f"{path.stem}_{draw.__name__}.png")
+            is_mirrored = case.config.geometry.is_mirrored
+            drawings[file] = partial(draw, title=sections.MIRRORED if is_mirrored else "")
     try:
         meshes.write_msh(data, path)
         print(path)
@@ -232,11 +237,33 @@ def _place(options: argparse.Namespace) -> int:
     file = overlay.read(source, options.overrides)
     # A stem without room is no fault here: it is to be placed.
     case, faults = valid_parts(file.data, source.parent)
+    unplaced = [fault for fault in faults if _is_without_position(fault)]
+    if unplaced:
+        case, faults = valid_parts(_unsearched(file.data), source.parent)
     file.raise_all(faults)
+    for fault in unplaced:
+        line = verdict.note(
+            f"{fault.text}. The page shows the stem at the position as given", "insertion: best"
+        )
+        print(painted(line, "doubtful", sys.stderr), file=sys.stderr)
     page = options.output or Path("out") / f"{source.stem}-place.html"
     with file.placing():
         print(placement_page.write(case, source, page))
     return 0
+
+
+def _is_without_position(fault: Fault) -> bool:
+    """Return True for a stem for which `insertion: best` finds no room."""
+    return fault.path[:2] == ("geometry", "insertion") and fault.text.startswith(NO_POSITION)
+
+
+def _unsearched(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a case whose stem is in its given position, which is not searched."""
+    geometry = dict(data["geometry"])
+    insertion = geometry.pop("insertion")
+    if isinstance(insertion, Mapping):
+        geometry["insertion"] = {key: v for key, v in insertion.items() if key != "best"}
+    return {**data, "geometry": geometry}
 
 
 def _campaign(options: argparse.Namespace) -> int:

@@ -129,4 +129,8 @@ class Implant:
                 expected_size = (
                     "positive" if size <= 0.0 else f"above the corner radius, {radius:.3g} mm,"
                 )
-                yield name, f"{message}; expected sections that stay {expected_size} there"
+                given = f"it is {getattr(self, name):.4g} mm at z = {self.section_z:.4g} mm"
+                yield (
+                    name,
+                    f"{message}; expected sections that stay {expected_size} there; {given}",
+                )

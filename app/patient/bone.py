@@ -342,7 +342,10 @@ def _continued(
     outer = shaft.Narrowing(femur_bone.OUTER, end, size)
     if canal is not None and canal_end < end:
         canal_width = shaft.canal_width(surface, canal, outer, centre, top_level, isthmus)
-    continuation = Continuation(end, centre, slope, CONTINUED_TO * size, outer, canal_width)
+    scan_end = float(surface.points[:, 2].min())
+    continuation = Continuation(
+        end, centre, slope, CONTINUED_TO * size, outer, canal_width, scan_end
+    )
     if canal is not None and canal_width is not None:
         canal = continuation.surface(canal, canal_width)
     return PatientBone(frame, continuation.surface(surface, outer), canal, continuation)

@@ -110,6 +110,9 @@ def read(
         content, remedy = "", f"set its unit to {' or '.join(fitting_units or UNITS)}"
         if label is not None:
             content, remedy = f"label {label} ", "give the label of the femur"
+            if fitting_units:
+                names = " or ".join(fitting_units)
+                remedy = f"is the unit of the image {names}? Write it in mm, or {remedy}"
         raise GeometryError(
             f"{path}: {content}is {extent:.4g} {unit or 'units'} long, but a proximal femur is"
             f" {least_length:g} to {EXTENT[1]:g} mm long; {remedy}"

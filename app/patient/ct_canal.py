@@ -89,10 +89,10 @@ def read(
     numbers[tuple(inner_voxels[height > top_level + 2.0 * WALL_THICKNESS].T)] = np.inf
     if not contains_canal(frame):
         raise GeometryError(
-            f"geometry.canal.ct: the scan ends {-frame.end:.0f} mm below the lesser trochanter;"
+            f"geometry.canal.ct: the scan has {-frame.end:.0f} mm of complete shaft below the"
+            " lesser trochanter;"
             f" its canal needs {SHORTEST_CANAL - top_level:.0f} mm. Leave out canal.ct:"
-            " the canal then has the"
-            " ratios of the parametric femur"
+            " the canal then has the ratios of the parametric femur"
         )
     outermost = inner_voxels[
         (height < top_level) & (depth[tuple(inner_voxels.T)] < WALL_THICKNESS + CORTEX_LAYER)

@@ -38,12 +38,13 @@ def _bone(case: Case) -> Iterable[Verdict]:
                 "geometry.stem.head_height",
                 "change head_height, insertion.depth or resection.height",
             )
-        end_level = case.geometry.continued_below
-        if end_level is not None:
-            note_text = (
-                f"the scan ends at z = {end_level:.0f} mm; the bone below is not the patient's"
+        end_level, continuation = case.geometry.continued_below, case.geometry.femur.continuation
+        if end_level is not None and continuation:
+            yield note(
+                f"the scan ends at z = {continuation.scan_end:.0f} mm; the bone below z ="
+                f" {end_level:.0f} mm is not the patient's, but continues the last sections",
+                "geometry.bone.extend",
             )
-            yield note(f"{note_text}, but continues the last sections", "geometry.bone.extend")
 
 
 @input_note

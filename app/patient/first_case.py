@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,7 @@ from app.patient.segmentation import Structure
 from app.schema import yaml_file
 from app.schema.section import faults
 from meshes import room
+from meshes.placement import lengthening
 
 if TYPE_CHECKING:
     from app.patient.bone import PatientBone
@@ -40,6 +42,11 @@ CEMENTLESS_ROOM = 3.0
 CELL_SIZE = 6.0  # size of cells (mm)
 BODY_WEIGHT = 600.0  # body weight of the loads in the library (N)
 CT_THRESHOLD = 600.0  # CT number at the endosteum
+LEG_LIMIT = 8.0  # largest proposed change of the leg length (mm): patients notice 10 mm
+# Options of ``mantle init`` by the keys of a case for which they stand.
+OPTIONS = {"geometry.bone.side": "--side", "geometry.canal.ct": "--ct", "canal.ct": "--ct"}
+# A key of a case in a message.
+CASE_KEY = r"\b(geometry|landmarks|bone|canal)\.[a-z]"
 
 
 @dataclass(frozen=True)
@@ -113,10 +120,12 @@ class Proposal:
     Attributes:
         keys: Its keys, as in a case file.
         geometry: The geometry that they make.
+        lowered: Distance by which the stem's head is lower than usual (mm).
     """
 
     keys: dict[str, object]
     geometry: Patient
+    lowered: int = 0
 
 
 def write(
@@ -187,12 +196,15 @@ def _propose(
     try:
         femur = _geometry_of({"bone": bone_keys, "canal": canal_keys}, folder).femur
     except InputError as error:
-        message = str(error)
+        message = _with_options(str(error))
         raise InputError(message if str(bone.path) in message else f"{bone}: {message}") from error
     if ct and not canal and ct_canal.contains_canal(femur.frame):
         canal_keys = {"ct": _relative(ct, folder), "threshold": CT_THRESHOLD} | canal_keys
         # A CT without this femur is refused here, not as a reason against each stem.
-        _geometry_of({"bone": bone_keys, "canal": canal_keys}, folder)
+        try:
+            _geometry_of({"bone": bone_keys, "canal": canal_keys}, folder)
+        except InputError as error:
+            raise InputError(_with_options(str(error))) from error
     reasons = list[str]()
     for angle in CUT_ANGLES:
         resection = {"height": f"{CUT_HEIGHT:g} mm", "angle": f"{angle:g} deg"}
@@ -213,12 +225,40 @@ def _propose(
             except InputError as error:
                 reasons.append(f"{length:g} mm: {error}")
             else:
-                return Proposal(keys, geometry)
+                return _with_limited_leg(Proposal(keys, geometry), folder)
     lengths = [length for length, _ in fixation.stems]
     raise InputError(
         f"{bone.path}: no stem of {lengths[-1]:g} to {lengths[0]:g} mm fits into this femur."
         f" Reason for the smallest, {reasons[len(lengths) - 1]}. Write a case with your own stem:"
         " see docs/howto/patient.md"
+    )
+
+
+def _with_limited_leg(proposal: Proposal, folder: Path) -> Proposal:
+    """Return a proposal whose head is so low that the leg becomes at most `LEG_LIMIT` longer."""
+    excess = math.ceil(lengthening(proposal.geometry) - LEG_LIMIT)
+    if excess <= 0:
+        return proposal
+    stem = proposal.keys["stem"]
+    assert isinstance(stem, dict)
+    assert isinstance(proposal.geometry.stem, Stem)
+    height = proposal.geometry.stem.head_height - excess
+    keys = proposal.keys | {"stem": stem | {"head_height": f"{height:g} mm"}}
+    return Proposal(keys, _geometry_of(keys, folder), lowered=excess)
+
+
+def _with_options(message: str) -> str:
+    """Return a message on a bone in which a remedy is an option of ``mantle init``, if it has one.
+
+    For other keys of a case it says how to give them.
+    """
+    for key, option in OPTIONS.items():
+        message = message.replace(key, option)
+    if not re.search(CASE_KEY, message):
+        return message
+    return (
+        f"{message.rstrip('.')}. `mantle init` takes no such keys: write a case with them"
+        " (docs/howto/patient.md)"
     )
 
 
@@ -269,12 +309,13 @@ def _assumptions(
     yield f"femur: {bone}{source}; {frame.side}{side_source}, {axes}"
     end_level = geometry.continued_below
     scan = "the scan contains the shaft that is needed"
-    if end_level is not None:
+    if end_level is not None and femur.continuation:
+        scan_end = femur.continuation.scan_end
         scan = (
-            f"the scan ends {-end_level:.0f} mm below the lesser trochanter, and the shaft is"
-            " continued"
+            f"the scan ends {-scan_end:.0f} mm below the lesser trochanter, and the shaft is"
+            f" continued from {-end_level:.0f} mm below it on, for"
+            f" {end_level - geometry.level:.0f} mm (bone.extend)"
         )
-        scan += f" for {end_level - geometry.level:.0f} mm below it (bone.extend)"
     neck = f"neck-shaft angle {details['neck-shaft angle']}"
     yield f"bone: head of {frame.radius:.1f} mm, {neck}; {scan}"
     yield f"canal: {_canal(geometry, ct)}"
@@ -286,6 +327,11 @@ def _assumptions(
         cement = f" with {fixation.cement_thickness:g} mm of cement"
     stem = f"{_size(implant)}{cement}"
     head = geometry.placement_details["head of the stem"]
+    if proposal.lowered:
+        head += (
+            f"; the neck is {proposal.lowered} mm shorter (stem.head_height), since the leg would"
+            f" become more than {LEG_LIMIT:g} mm longer"
+        )
     yield f"operation: {cut}; {stem}; best position: {best_position}; head: {head}"
     medial = "the condyles" if femur.has_condyles else "the neck, since the scan has no condyles"
     weight = f"body weight {BODY_WEIGHT:g} N (loads.body_weight)"

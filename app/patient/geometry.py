@@ -185,7 +185,14 @@ class Patient(OperatedHip):
                 max(plug_z - SHAFT_BELOW_PLUG, lowest_z + 3.0), 1
             )
         if not lowest_z + 2.0 < level < plug_z - 2.0:
-            message = f"{level:g} mm is not between the end of the surface, {lowest_z:.0f} mm, and"
+            continuation = self.femur.continuation
+            end_text = f"the end of the surface, {lowest_z:.0f} mm,"
+            if continuation:
+                end_text = (
+                    f"the end of the surface, {continuation.scan_end:.0f} mm and continued to"
+                    f" {lowest_z:.0f} mm,"
+                )
+            message = f"{level:g} mm is not between {end_text} and"
             fail(f"{message} {self.plug_end}, {plug_z:.0f} mm", at=("distal_cut_z",))
         least_length = max(INSIDE * implant.length, SHORTEST_INSIDE)
         length_inside = implant.length + placement.top
@@ -318,6 +325,11 @@ class Patient(OperatedHip):
         return self.femur.in_file(x, depth)
 
     @property
+    def is_mirrored(self) -> bool:
+        """True for a right femur."""
+        return self.femur.mirrored
+
+    @property
     def continued_below(self) -> float | None:
         """Level below which the model has a continued shaft (mm); None: it has none."""
         continuation = self.femur.continuation
@@ -343,12 +355,13 @@ class Patient(OperatedHip):
     @property
     def _continued(self) -> dict[str, str]:
         """The continued part of the shaft, in words."""
-        end_level = self.continued_below
-        if end_level is None:
+        end_level, continuation = self.continued_below, self.femur.continuation
+        if end_level is None or continuation is None:
             return {}
         plug_z = float(self.placement.to_model([0.0, 0.0, self.implant.plug])[2])
         range_text = (
-            f"below z = {end_level:.0f} mm, where the scan ends: {end_level - self.level:.0f} mm"
+            f"below z = {end_level:.0f} mm, {end_level - continuation.scan_end:.0f} mm above the"
+            f" level where the scan ends: {end_level - self.level:.0f} mm"
         )
         beside_stem = (
             f", {end_level - plug_z:.0f} mm of them beside stem and plug"

@@ -36,6 +36,8 @@ SPACES = {1: "scanner", 2: "aligned", 3: "Talairach", 4: "MNI"}
 TEMPLATES = (3, 4)  # spaces to which images of patients are scaled
 PADDING = -1500.0  # CT number: lower ones are written where nothing was measured
 GZIP = b"\x1f\x8b"
+HEADER_SIZE = 348  # bytes of the header of NIfTI
+IMAGE_FORMATS = "NIfTI, NRRD, DICOM or .npz"
 NIFTI2_SIZE = 540  # first number of NIfTI of version 2
 SAVE = "save it as NIfTI or NRRD, as 3D Slicer does"
 EXPORT = "export the scan as NIfTI, NRRD or DICOM"
@@ -265,10 +267,24 @@ def _reader(path: Path) -> Callable[[Path], Voxels]:
         return nrrd.read
     if dicom_series.is_dicom(first_bytes):
         return _dicom
-    foreign = foreign_format(first_bytes, OTHER_FORMATS, "NIfTI, NRRD, DICOM or .npz")
+    foreign = foreign_format(first_bytes, OTHER_FORMATS, IMAGE_FORMATS)
     if foreign:
         raise InputError(f"{path}: {foreign}")
+    if _is_text(path):
+        raise InputError(f"{path}: is a text file, not an image; expected {IMAGE_FORMATS}")
     return _nifti
+
+
+def _is_text(path: Path) -> bool:
+    """Return True for a text, also a compressed one: the header of an image contains zeros."""
+    with path.open("rb") as file:
+        compressed = file.read(len(GZIP)) == GZIP
+    try:
+        with gzip.open(path) if compressed else path.open("rb") as file:
+            content = file.read(HEADER_SIZE)
+    except (OSError, EOFError):
+        return False  # damaged, which the reader of images reports
+    return bool(content) and b"\0" not in content and content.isascii()
 
 
 def _dicom(path: Path) -> Voxels:

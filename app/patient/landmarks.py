@@ -55,6 +55,10 @@ SHORT_SPREAD = math.radians(6.5)  # that holds 90 % of the shaft's axis if it is
 SOLID_CHECK_LEVELS = (1.0, 1.4, 1.8, 2.2, 2.6)
 CONDYLES_BELOW = 4.0  # below the lesser trochanter, at least, condyles are
 TROCHANTER_RANGE = (1.3, 3.4)  # below the head's centre, where the lesser trochanter is
+USUAL_TROCHANTER = 2.25  # the same in the parametric femur
+# Distance above its usual place from which a peak at the end of a scan is no lesser trochanter.
+FALSE_TROCHANTER = 0.5
+BELOW = "below the lesser trochanter"
 CONDYLE_HEIGHT = 3.0  # above the distal end
 CONDYLE_DISTANCE = 2.1  # between the condyles
 CONDYLE_AREA_RATIO = 1.8  # least area of a section of the condyles over the shaft's
@@ -381,16 +385,42 @@ class _Finder:
     def _check_shaft(self) -> None:
         """Refuse a surface that ends so high that the direction of the shaft is not known."""
         least_length = SHORT_SHAFT_RANGE[1] * self.radius
-        if self.below < least_length and "shaft" not in self.given:
-            shaft_length = max(self.below, 0.0)
-            raise GeometryError(
-                f"geometry.bone: has {shaft_length:.0f} mm of complete shaft below"
-                " the lesser trochanter,"
-                f" and ends {self.depth:.0f} mm below the head's centre. The direction of the shaft"
-                f" needs {least_length:.0f} mm: use a scan that ends"
-                f" {least_length - shaft_length:.0f} mm lower, or give"
-                " landmarks.shaft"
-            )
+        if self.below >= least_length or "shaft" in self.given:
+            return
+        found_above = self.below - (least_length - self._missing_length)
+        is_false = self.below <= 0.0 or found_above > FALSE_TROCHANTER * self.radius
+        if is_false and "lesser_trochanter" not in self.given:
+            # What was found is none, since the lesser trochanter is not in the scan.
+            raise self._without_trochanter(f"has 0 mm of complete shaft {BELOW}")
+        shaft_length = max(self.below, 0.0)
+        raise GeometryError(
+            f"geometry.bone: has {shaft_length:.0f} mm of complete shaft {BELOW},"
+            f" and ends {self.depth:.0f} mm below the head's centre. The direction of the shaft"
+            f" needs {least_length:.0f} mm: use a scan that ends"
+            f" {least_length - self.below:.0f} mm lower, or give"
+            " landmarks.shaft"
+        )
+
+    @property
+    def _missing_length(self) -> float:
+        """Length that a scan lacks below its end if its lesser trochanter has the usual place."""
+        needed_depth = (USUAL_TROCHANTER + SHORT_SHAFT_RANGE[1]) * self.radius
+        return needed_depth + shaft.EDGE_ROUNDING - self.depth
+
+    def _without_trochanter(self, fault: str) -> GeometryError:
+        """Return the error on a scan that does not contain the whole lesser trochanter."""
+        usual_depth, least_length = (
+            USUAL_TROCHANTER * self.radius,
+            SHORT_SHAFT_RANGE[1] * self.radius,
+        )
+        return GeometryError(
+            f"geometry.bone: {fault}, and the surface ends {self.depth:.0f} mm below the head's"
+            " centre."
+            f" The lesser trochanter usually is about {usual_depth:.0f} mm below it, and the"
+            f" direction of the shaft needs {least_length:.0f} mm of shaft below that: use a scan"
+            f" that ends about {self._missing_length:.0f} mm lower, or give landmarks.shaft and"
+            " landmarks.lesser_trochanter"
+        )
 
     def _check_solid(self) -> None:
         """Refuse a surface that has the wall of the canal, as one body with the outer surface."""
@@ -443,6 +473,8 @@ class _Finder:
             if not peaks.any():
                 location = mean_point_text(self.head)
                 fault = f"no lesser trochanter was detected below the head at {location}"
+                if self._missing_length > 0.0:
+                    raise self._without_trochanter(fault)
                 fault += f", and the surface ends {self.depth:.0f} mm below it"
                 remedy = "expected a proximal femur, or landmarks.lesser_trochanter"
                 raise GeometryError(f"geometry.bone: {fault}; {remedy}")

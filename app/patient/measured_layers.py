@@ -286,10 +286,12 @@ class MeasuredLayers:
         )
         reamed = np.where(is_below_plug, np.minimum(loft, largest_radii), reamed)
         is_beside_stem = (zeta > self._sections.plug)[:, None]
-        thicknesses = {
-            "most bone removed by reaming": reamed - canal,
-            "least bone left by reaming": reamed - bone,
-        }
+        thicknesses = {"least bone around the canal": reamed - bone}
+        if reaming.ream != "none":
+            thicknesses = {
+                "most bone removed by reaming": reamed - canal,
+                "least bone left by reaming": reamed - bone,
+            }
         for title, thickness in thicknesses.items():
             thickness = np.where(is_beside_stem, thickness, -np.inf)
             i, j = np.unravel_index(thickness.argmax(), thickness.shape)

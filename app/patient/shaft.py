@@ -169,6 +169,7 @@ class Continuation:
         low: Level at which it ends [mm].
         width: Width at a level over that at the end, of the bone.
         canal: Width of the canal; None: no canal ends with the scan.
+        scan_end: Lowest level of the scanned surface [mm]; its edge, up to `end`, is not used.
     """
 
     end: float
@@ -177,6 +178,7 @@ class Continuation:
     low: float
     width: Narrowing
     canal: CanalWidth | None
+    scan_end: float
 
     def surface(self, above: BoneSurface, width: Width) -> BoneSurface:
         """Return a surface that is continued below the end.

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 from matplotlib.colors import Normalize, to_rgb
+from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
@@ -45,6 +46,8 @@ AROUND_STEM = ("stem_cement", "stem_bone")
 END_DISTANCE = 1.0
 # The horizontal axis, whether it points to the left, and the axis along which one looks.
 VIEWS = {"lateral": (1, True, 0), "anterior": (0, True, 1), "medial": (1, False, 0)}
+# Title of pictures of a right femur.
+MIRRORED = "a right femur, mirrored"
 FRONT_AND_SIDE = ("anterior", "medial")
 # Direction to the light: from the left, from above, from the viewer.
 LIGHT = np.array([-0.5, 0.4, 0.77])
@@ -136,7 +139,7 @@ def section_lines(x: Floats, axis: int, at: float) -> Floats:
     return line_ends.reshape(-1, 2, 3)
 
 
-def sections(data: MeshData, path: Path) -> None:
+def sections(data: MeshData, path: Path, title: str = "") -> None:
     """Write a PNG with sections near the neck cut, in the middle of the stem and above its tip."""
     interface_name = next(name for name in AROUND_STEM if name in data.interfaces)
     stem = data.points[interface_facets(data, interface_name)[0], 2]
@@ -157,6 +160,7 @@ def sections(data: MeshData, path: Path) -> None:
         ax.set_title(f"{place}, z = {at:.4g} mm")
     handles = [Patch(fc=c, ec="k", label=n) for n, c in colours_of(data.regions).items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=6)
+    figure.suptitle(title)
     figures.save(figure, path, 110, PNG)
 
 
@@ -192,7 +196,7 @@ def colours_of(names: Iterable[str]) -> dict[str, str]:
     return {name: COLOURS.get(name) or next(other_colours) for name in names}
 
 
-def interfaces(data: MeshData, path: Path) -> None:
+def interfaces(data: MeshData, path: Path, title: str = "") -> None:
     """Write a PNG of the interfaces around a stem, seen from anterior and from medial.
 
     The bone interface is coloured by the thickness of the cement, which is undefined below the tip,
@@ -200,7 +204,7 @@ def interfaces(data: MeshData, path: Path) -> None:
     stem is coloured by the distance to the bone's outer surface.
     """
     if "stem_bone" in data.interfaces:
-        _stem_in_bone(data, path)
+        _stem_in_bone(data, path, title)
         return
     stem, bone = (interface_facets(data, name) for name in INTERFACES)
     patches = [triangles(data.points, facets) for facets, _, _ in (stem, bone)]
@@ -230,10 +234,18 @@ def interfaces(data: MeshData, path: Path) -> None:
             ax.set_title(f"{INTERFACES[k]}\nfrom {view}")
     figure.axes[0].set_ylabel("z (mm)")
     figure.colorbar(colour_map, ax=figure.axes, label="thickness of the cement (mm)", shrink=0.5)
+    _legend_of_edges(figure, title)
     figures.save(figure, path, 95, PNG)
 
 
-def _stem_in_bone(data: MeshData, path: Path) -> None:
+def _legend_of_edges(figure: Figure, title: str) -> None:
+    """Add the meaning of red edges, and a title."""
+    patch = Patch(fc="none", ec=CORTEX, label="on cortical bone")
+    figure.legend(handles=[patch], loc="outside lower center", frameon=False)
+    figure.suptitle(title)
+
+
+def _stem_in_bone(data: MeshData, path: Path, title: str) -> None:
     """Write a PNG of the surface of a stem without cement."""
     facets, _, cells = interface_facets(data, "stem_bone")
     pieces = triangles(data.points, facets)
@@ -253,6 +265,7 @@ def _stem_in_bone(data: MeshData, path: Path) -> None:
     figure.axes[0].set_ylabel("z (mm)")
     label = "bone between the stem and the outer surface (mm)"
     figure.colorbar(colour_map, ax=figure.axes, label=label, shrink=0.5)
+    _legend_of_edges(figure, title)
     figures.save(figure, path, 95, PNG)
 
 

@@ -16,6 +16,7 @@ from app.case.quantities import TABLE, in_print
 from app.case.summary import Numbers, Summary
 from app.foundation.verdict import Severity, Verdict, note
 from app.laws.interface_laws import InterfaceLaw, SurfaceZone, insertion_stages
+from app.results.closing_lines import CEMENT
 from app.results.verdicts import result_verdict
 from app.schema.yaml_file import Fault
 from app.soundness.preview import input_note
@@ -157,25 +158,63 @@ def _yielding(summary: Summary) -> list[tuple[str, str]]:
     return [(n, key) for n, q in regions.items() for key in STRAINS if q.get(key, 0.0) > YIELD]
 
 
+def _may_grow_in(summary: Summary, interface: str) -> bool:
+    """Return False for an interface with cement, or without one of the bones that are known."""
+
+    def touches(region: str) -> bool:
+        return interface.startswith(f"{region}_") or interface.endswith(f"_{region}")
+
+    regions = summary.get("regions", {})
+    if any(CEMENT in q and touches(name) for name, q in regions.items()):
+        return False
+    bones = {name for name, q in regions.items() if "insertion_hoop_strain_p99" in q}
+    return not bones or any(touches(name) for name in (*bones, "bone"))
+
+
 @result_verdict
 def _ingrowth(summary: Summary) -> Iterable[Verdict]:
     """Areas of motion, compared with published limits of ingrowth, which are of oscillation.
 
-    The motion is the inducible one of the last cycle; without cycles it is that of one load.
+    The motion is the inducible one of the last cycle of a stage. Of several stages with cycles it
+    is the one with the largest area above 40 um. Without cycles it is that of one load.
     """
     for name, q in summary.get("interfaces", {}).items():
         has_grown_in = "damage_mean" in q
         has_micromotion = bool(q.get("area")) and "area_micromotion_over_40um" in q
-        if name == ON_CUT or has_grown_in or not has_micromotion:
+        if name == ON_CUT or has_grown_in or not has_micromotion or not _may_grow_in(summary, name):
             continue
         motion = "micromotion"
-        motion_text = "The motion includes the permanent part, because the case has no cycles."
-        if "area_inducible_over_40um" in q:
+        motion_text = (
+            "The motion includes the permanent part: it is that since the insertion. `cycles` with"
+            " a `history` of the loads separate both."
+        )
+        zones = {f"zone {zone}": part for zone, part in q.get("zones", {}).items()}
+        of_stages = {
+            stage: numbers["areas"][name]
+            for stage, numbers in summary.get("cycles", {}).items()
+            if name in numbers.get("areas", {})
+        }
+        has_inducible = "area_inducible_over_40um" in q
+        if of_stages:
+            motion = "inducible"
+            worst = max(of_stages, key=lambda stage: of_stages[stage]["area_inducible_over_40um"])
+            last = next(reversed(of_stages))
+            motion_text = (
+                "The motion is inducible, from the last valley to the last peak of stage"
+                f" '{worst}'."
+            )
+            if len(of_stages) > 1:
+                motion_text = motion_text.removesuffix(".") + (
+                    ", which has the largest area above 40 um of"
+                    f" {len(of_stages)} stages with cycles."
+                )
+            if not (has_inducible and worst == last):
+                q = {**q, **of_stages[worst]}
+                zones = {}
+        elif has_inducible:
             motion = "inducible"
             motion_text = "The motion is inducible, from the last valley to the last peak."
-        interface_and_zones = {name: q} | {
-            f"zone {zone}": part for zone, part in q.get("zones", {}).items()
-        }
+        interface_and_zones = {name: q} | zones
         shares = (_areas(owner, motion, part) for owner, part in interface_and_zones.items())
         doubt = " This holds for elastic bone, but the insertion strains bone beyond its yield."
         message = (

@@ -125,6 +125,8 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
     view_width = size[:2].max() / inch + 2 * SIDE_MARGIN
     forces = [*_forces(case, data)]
     title = textwrap.wrap(case.title or path.stem, int(LETTERS_PER_INCH * view_width))
+    if case.geometry.is_mirrored:
+        title += [sections.MIRRORED]
     is_continued = case.geometry.continued_below is not None
     more_entries = (bool(case.supports), bool(case.heat), bool(forces), is_continued)
     entry_count = max(len(data.regions), len(case.interfaces) + sum(more_entries))

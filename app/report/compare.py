@@ -26,7 +26,7 @@ from app.report.page import Block, LargeNumber, PageSection, bullets, table
 from app.report.sweep_results import Json, SweptCase
 from app.results.verdicts import notes_of
 from app.system.folders import write_text
-from app.system.layout import noted, plain
+from app.system.layout import noted, plain, several
 
 # Runs of a page: a browser draws some sixteen views.
 MOST = 8
@@ -83,6 +83,7 @@ def _page(folders: Sequence[Path]) -> str:
     all_differences = view.count('class="one"') - runs_with_fields >= len(folders) - 1
     note = "Differences of fields are drawn only for runs on the same mesh."
     notes = noted((name, notes_of(case.summary)) for name, case in zip(names, cases, strict=True))
+    noted_text = several(len(notes), "note")
     status = [_status(name, case.summary) for name, case in zip(names, cases, strict=True)]
     return page.page(
         "Comparison of runs",
@@ -93,7 +94,7 @@ def _page(folders: Sequence[Path]) -> str:
             PageSection("maps", "Maps of the differences", _maps(names, cases)),
             PageSection("input", "Input that differs", _input(names, cases)),
         ],
-        bullets(status) + page.folded(f"{len(notes)} notes on the input", bullets(notes)),
+        bullets(status) + page.folded(f"{noted_text} on the input", bullets(notes)),
         facts=" · ".join(names),
         lead=_lead(names[0], numbers),
         large=_largest(names, numbers, sweep_figures.headlines(cases)),
@@ -168,8 +169,10 @@ def _numbers(
     ]
     remaining_rows = rows[LARGEST:]
     blocks = table(head, rows[:LARGEST])
+    remaining_text = several(len(remaining_rows), "number")
     blocks += page.folded(
-        f"{len(remaining_rows)} numbers with smaller differences", table(head, remaining_rows)
+        f"{remaining_text} with smaller differences",
+        table(head, remaining_rows),
     )
     unshared_numbers = compared_numbers.unshared(names, cases)
     return blocks + page.folded("Numbers that cannot be compared", bullets(unshared_numbers))

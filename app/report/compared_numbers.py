@@ -68,16 +68,19 @@ class ComparedNumber:
         return "0" if abs(number.value) < 0.01 * self.rounding else str(number)
 
     def difference(self, run: int) -> str:
-        """Format the difference of a run from the first: with error, and relative to the first."""
+        """Format the difference of a run from the first: with error, and relative to the first.
+
+        A first number within its error or rounding is about zero; nothing is relative to it.
+        """
         first_number, number = self.numbers[0], self.numbers[run]
         if first_number is None or number is None:
             return "-"
         change = number.value - first_number.value
         error = error_of_difference(first_number, number)
         is_beyond = differs(first_number, number, self.rounding)
-        relative = (
-            f" ({100 * change / abs(first_number.value):+.1f} %)" if first_number.value else ""
-        )
+        relative = ""
+        if abs(first_number.value) > max(self.rounding, first_number.error or 0.0):
+            relative = f" ({100 * change / abs(first_number.value):+.1f} %)"
         if error is None:
             return f"{Number(change)}{relative}, errors unknown" if is_beyond else "0"
         if self.exact:

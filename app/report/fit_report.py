@@ -21,7 +21,7 @@ from app.plots.figures import PNG
 from app.report import page
 from app.report.page import Cell, Figure, LargeNumber, Link, PageSection, bullets, folded, table
 from app.system.folders import read_json, write_text
-from app.system.layout import duration
+from app.system.layout import duration, several
 
 # Content, page and picture in the folder of a fit.
 RECORD = "fit.json"
@@ -92,7 +92,7 @@ def _sections(record: FitRecord) -> list[PageSection]:
             table(*_influence(record)),
         ),
         PageSection("correlation", "Correlation", table(*fit_results.correlation_rows(record))),
-        PageSection("runs", "All runs", folded(f"{len(rows)} runs", table(head, linked))),
+        PageSection("runs", "All runs", folded(several(len(rows), "run"), table(head, linked))),
         PageSection("repeat", "To repeat the best run", bullets([record["command"]])),
     ]
 

@@ -26,6 +26,8 @@ FRONTAL = 7
 BONES = {"cortical_bone": "cortical bone", "cancellous_bone": "cancellous bone"}
 # kJ/m3 in 1 MPa.
 KJ = 1e3
+# Mark of a number without error next to others with errors: no coarser mesh has this bone there.
+UNKNOWN = " (error unknown)"
 
 
 def zones(case: SweptCase) -> dict[str, Zone]:
@@ -62,6 +64,7 @@ def tables(case: SweptCase) -> list[tuple[str, list[str], list[list[str]]]]:
     if cement:
         head.append("cement thickness, min / mean / max (mm)")
     head += [f"strain energy, {BONES[b]} (kJ/m³)" for b in bones]
+    known_errors = [z for z in by_zone.values() if z.get("strain_energy_density_error")]
     rows = []
     for zone_name, zone in by_zone.items():
         row = [_zone(zone_name)]
@@ -70,9 +73,10 @@ def tables(case: SweptCase) -> list[tuple[str, list[str], list[list[str]]]]:
         density, errors = zone["strain_energy_density"], zone.get("strain_energy_density_error", {})
         for bone in bones:
             if bone in errors:
-                row.append(str(Number(KJ * density[bone], KJ * errors[bone])))
+                row.append(Number(KJ * density[bone], KJ * errors[bone]).marked)
             else:
-                row.append(_shown(density.get(bone), KJ))
+                is_unknown = bool(known_errors) and bone in density
+                row.append(_shown(density.get(bone), KJ) + (UNKNOWN if is_unknown else ""))
         rows.append(row)
     titled_tables = []
     if len(head) > 1:

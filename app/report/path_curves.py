@@ -10,7 +10,7 @@ import numpy as np
 
 from app.case.quantities import FACTORS, printed
 from app.foundation.arrays import Floats
-from app.plots.curves import Line, Panel, drawing
+from app.plots.curves import ROUNDED, Line, Panel, drawing
 from app.report import page
 from app.report.page import Block, bullets
 from app.report.sweep_results import SweptCase, named
@@ -148,6 +148,7 @@ def _lines(table: PathTable, column: str, step: float, label: str, style: int) -
     x: Floats = table[ARC][is_at_step]
     factor = FACTORS.get(_shown(column)[1], 1.0)
     y: Floats = factor * table[column][is_at_step]
+    y = np.where(np.abs(y) < ROUNDED.get(printed(_shown(column)[1]), 0.0), 0.0, y)
     is_known = np.isfinite(y)
     row_groups = np.split(np.arange(len(y)), np.flatnonzero(np.diff(is_known.astype(int))) + 1)
     lines: list[Line] = []

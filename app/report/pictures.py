@@ -64,6 +64,8 @@ PEAK = "temperature_peak"
 # Name of the picture of the surfaces from three sides.
 SIDES = "interfaces"
 ON_SIDES = {"slip": "viridis", "gap": "viridis", "pressure": "cividis"}
+# Quantities of which the picture has means over the area of a node.
+TRACTIONS = ("pressure", "shear")
 # Angle at the left end of an unrolled map [degrees].
 SEAM = -90.0
 WAYS = {-90: "posterior", 0: "medial", 90: "anterior", 180: "lateral", 270: "posterior"}
@@ -455,14 +457,17 @@ def sides(run: Run, folder: Path) -> list[Figure]:
             bar = figure.colorbar(
                 scale, ax=views, orientation="horizontal", pad=0.02, extend=extend
             )
-            bar.set_label(f"{label} on the {named(body)} ({unit}), largest {values.max():.3g}")
+            largest = "largest mean at a node" if quantity in TRACTIONS else "largest"
+            bar.set_label(f"{label} on the {named(body)} ({unit}), {largest} {values.max():.3g}")
     figures.save(figure, folder / f"{SIDES}.png", 130)
     interface_names = " and ".join(name.replace("_", "-") for name in side_of_interface)
     motions = dict.fromkeys(next(iter(_on_sides(run, name))) for name in side_of_interface)
     motion_words = " or ".join(motions).capitalize()
     caption = (
         f"{motion_words}, gap and contact pressure at the end, on the inner body of each "
-        f"interface. Colours end at the {CLIP:g}th percentile; the labels have the largest values."
+        f"interface. Colours end at the {CLIP:g}th percentile; the labels have the largest values"
+        " in the picture, with rim and tip. Pressures are means over the area of a node; the"
+        " maximum in the table is that at a point, and may be larger."
     )
     description = (
         f"{motion_words}, gap and pressure of {interface_names}, drawn on the surface from three"

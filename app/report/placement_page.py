@@ -39,6 +39,8 @@ BOX = 1.0
 BELOW = 25.0
 # Distance of the drawn sections of the canal, in sections.
 EVERY = 3
+# First bytes of a page.
+DOCTYPE = b"<!doctype html"
 # Largest number of stems of a folder that the page offers.
 SIZES = 12
 
@@ -63,7 +65,7 @@ def write(case: Case, source: Path, path: Path) -> Path:
 
     Raises:
         InputError: The geometry has no stem to place, three.js is missing, or the file cannot be
-            written.
+            written or is no page.
         GeometryError: The shaft's axis leaves the bone.
     """
     geometry = case.geometry
@@ -88,10 +90,18 @@ def write(case: Case, source: Path, path: Path) -> Path:
     )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_file() and not _is_page(path):
+            raise InputError(f"-o {path}: exists and is not a page; choose another name")
         write_bytes(path, html.encode())
     except OSError as error:
         raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error
     return path
+
+
+def _is_page(path: Path) -> bool:
+    """Return True for a page, as an earlier call writes it."""
+    with path.open("rb") as file:
+        return file.read(len(DOCTYPE)).lower() == DOCTYPE
 
 
 def packed(geometry: OperatedHip, title: str, source: Path) -> tuple[dict[str, object], bytes]:

@@ -218,6 +218,7 @@ def _run(
         lead=" ".join(filter(None, sentences)),
         large=lead.large_numbers(summary) if solved else [],
         view=view,
+        note=_mirrored(case),
     )
     write_text(folder / PAGE, html)
     return [folder / PAGE, *files]
@@ -329,6 +330,20 @@ def _pictures(case: SweptCase, time_allowed: float) -> tuple[list[Block], list[B
         files = page.files((*sides, *maps), folder)
         from_sides, on_maps = page.figures(sides, folder), page.figures(maps, folder)
     return from_sides, on_maps + bullets(reasons), files if is_unlimited else []
+
+
+def _mirrored(case: SweptCase) -> str:
+    """Return a sentence on the pictures of a right femur; empty for others."""
+    try:
+        is_mirrored = load(case.folder / "case.yaml").config.geometry.is_mirrored
+    except InputError:
+        return ""
+    if not is_mirrored:
+        return ""
+    return (
+        "This is a right femur. The model and all pictures are mirrored, so that it looks like a"
+        " left one. Medial, lateral, anterior and posterior are those of the patient."
+    )
 
 
 def _view(folder: Path) -> tuple[str, list[str]]:

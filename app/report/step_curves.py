@@ -11,7 +11,7 @@ from app.case.case import Case
 from app.case.quantities import FACTORS, TABLE, TENSION_LEVELS, printed
 from app.case.summary import Summary
 from app.foundation.arrays import Floats
-from app.plots.curves import Line, Panel, sparse
+from app.plots.curves import ROUNDED, Line, Panel, sparse
 from app.report import page
 from app.report.page import Block
 from app.report.sweep_results import named
@@ -78,7 +78,7 @@ def over_time(step_record: StepRecord, at_rest: bool = False) -> list[Panel]:
         printed_unit = drawn_quantities[key][1]
         scaled = FACTORS.get(printed_unit, 1.0) * values
         is_known = np.isfinite(values)
-        if np.abs(scaled[is_known]).max(initial=0.0) > ROUNDING:
+        if np.abs(scaled[is_known]).max(initial=0.0) > ROUNDED.get(printed(printed_unit), ROUNDING):
             x, y = times[is_known].tolist(), scaled[is_known].tolist()
             if at_rest and not is_timed and printed_unit in VANISHING:
                 x, y = [0.0, *x], [0.0, *y]

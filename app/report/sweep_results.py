@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from app.case import quantities
+from app.case.quantities import NOT_RESOLVED
 from app.case.summary import Summary
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
@@ -63,6 +64,12 @@ class Number:
         if places > 5:
             return f"{self.value:.6g} ± {self.error:.1g}"
         return f"{self.value:.{places}f} ± {self.error:.{places}f}"
+
+    @property
+    def marked(self) -> str:
+        """The number, with a mark if its error exceeds it, as tables have it."""
+        is_lost = self.error is not None and self.error > abs(self.value)
+        return f"{self}{NOT_RESOLVED if is_lost else ''}"
 
 
 @dataclass(frozen=True)

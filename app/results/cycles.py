@@ -9,7 +9,8 @@ from app.case.quantities import TABLE
 from app.case.summary import Numbers, StageCycles
 
 # Numbers of an interface that are kept at peaks and valleys of the loads.
-OF_CYCLES = {"motion_p99", "micromotion_p99", "inducible_p99", "dissipation"}
+AREAS = ("area_inducible_over_40um", "area_inducible_over_150um")
+OF_CYCLES = {"motion_p99", "micromotion_p99", "inducible_p99", "dissipation", *AREAS}
 # Dissipation per cycle, relative to that up to the first peak, below which it vanishes.
 NOTHING = 0.02
 # Relative change from the first to the last cycle below which the dissipation counts as constant.
@@ -60,12 +61,14 @@ def split(dissipations: list[float], last_turns: list[Turn]) -> StageCycles:
 
     Returns:
         ``permanent``: motions in the last valley, by place and key. ``inducible``: motion from this
-        valley to the next peak; for interfaces, its 99th percentile. ``dissipation`` [N mm] of each
-        cycle after the first peak, and its ``trend``.
+        valley to the next peak; for interfaces, its 99th percentile. ``areas``: of press fits,
+        areas in which it exceeds the bounds of ingrowth. ``dissipation`` [N mm] of each cycle
+        after the first peak, and its ``trend``.
     """
     *_, valley, peak = last_turns if len(dissipations) % 2 else last_turns[:-1]
     permanent: Turn = {}
     inducible: Turn = {}
+    areas: Turn = {}
     for owner, numbers in valley.items():
         if owner == "stem":
             permanent[owner] = numbers
@@ -75,13 +78,19 @@ def split(dissipations: list[float], last_turns: list[Turn]) -> StageCycles:
             key = "micromotion_p99" if "micromotion_p99" in numbers else "motion_p99"
             permanent[owner] = {key: numbers[key]}
             inducible[owner] = {key: peak[owner]["inducible_p99"]}
+        areas_at_peak = {key: peak[owner][key] for key in AREAS if key in peak[owner]}
+        if areas_at_peak:
+            areas[owner] = areas_at_peak
     per_cycle = [b - a for a, b in pairwise(dissipations[::2])]
-    return {
+    parts: StageCycles = {
         "permanent": permanent,
         "inducible": inducible,
         "dissipation": per_cycle,
         "trend": trend(dissipations[0], per_cycle),
     }
+    if areas:
+        parts["areas"] = areas
+    return parts
 
 
 def trend(first_dissipation: float, per_cycle: list[float]) -> str:

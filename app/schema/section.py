@@ -26,7 +26,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError, core_schema
 
-from app.schema.yaml_file import Fault, Path
+from app.schema.yaml_file import SECTION_ABOVE, Fault, Path
 
 # Prefix of tags that pydantic puts into the path of an error for a member of a union. Such tags are
 # removed before a path is shown; no key of a section begins so.
@@ -74,6 +74,10 @@ class Section(BaseModel):
             ) from None
 
 
+# Beginning of the message on an unknown key.
+UNKNOWN_KEY = "unknown key; allowed: "
+
+
 def faults(
     error: ValidationError, model: type[Section] = Section, mapping: object = None
 ) -> list[Fault]:
@@ -95,6 +99,9 @@ def _in_words(entry: ErrorDetails, model: type[Section], mapping: object) -> Fau
         keys_beside = mapping if isinstance(mapping, Mapping) else {}
         section = _section_for_key(entry["loc"][-1], model, keys_beside)
     path, text = _path_and_text(entry, model, section)
+    of_section_below = len(path) == 2 and path[0] in model.model_fields
+    if of_section_below and path[1] in model.model_fields and text.startswith(UNKNOWN_KEY):
+        text = f"unknown key here; it is a key of {SECTION_ABOVE}"
     return Fault(path, text, section=section)
 
 
@@ -117,7 +124,7 @@ def _path_and_text(entry: ErrorDetails, model: type[Section], section: str) -> t
             if section:
                 return path, f"unknown key here; indent it below '{section}', where it belongs"
             hint = did_you_mean(str(path[-1]), keys)
-            return path, f"unknown key; allowed: {', '.join(keys)}{hint}"
+            return path, f"{UNKNOWN_KEY}{', '.join(keys)}{hint}"
         case "model_type" | "model_attributes_type":
             return path, f"{value} is not a mapping; expected keys {', '.join(keys)}"
         case "literal_error" if allowed_words := re.findall("'([^']*)'", entry["ctx"]["expected"]):

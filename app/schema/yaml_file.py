@@ -10,6 +10,7 @@ import hashlib
 import io
 import re
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -54,6 +55,16 @@ FAULTS = {
 }
 # Sorting key of what has no place in a file.
 LAST = (1 << 30, 0, 0)
+
+
+# Place holder in a message for the section that contains the section of its key.
+SECTION_ABOVE = "the section above"
+# Beginning of messages on names that a geometry does not have.
+NOT_IN_GEOMETRY = "the geometry ("
+# Sections that cause no faults of others.
+UNCHANGING = (("base",), ("title",), ("output",), ("mantle",))
+# Largest number of keys that are named as a cause.
+MOST_CAUSES = 4
 
 
 @dataclass(frozen=True)
@@ -157,6 +168,7 @@ class CaseFile:
 
     def _locate(self, fault: Fault) -> tuple[tuple[int, int, int], Verdict]:
         """Sorting key and verdict of a fault, at its key or the nearest one above."""
+        fault = replace(fault, text=fault.text.replace(SECTION_ABOVE, path_text(fault.path[:-2])))
         verdict = Verdict(printable(fault.text), remedy=fault.remedy, code=fault.code)
         if fault.place == "":
             return LAST, verdict
@@ -184,6 +196,13 @@ class CaseFile:
             elif overrides:
                 # No file gives the value, but an option gave another one that does not go with it.
                 place = overrides[-1]
+            elif place[0] != self.name:
+                text = fault.text
+                if fault.path == path and len(path) == 2 and text.startswith(NOT_IN_GEOMETRY):
+                    text += f"; remove it by `{path[0]}: {{{path[1]}: null}}`"
+                causes = self._causes(text)
+                question = f"; does {', '.join(causes)} go with it?" if causes else ""
+                verdict = replace(verdict, what=printable(text + question))
         of_key = f": {key}" if key and key != place else ""
         if isinstance(place, str):
             if fault.section:
@@ -219,12 +238,51 @@ class CaseFile:
                 changes.append(f"{path_text(key)} ({self.name}:{line}:{column})")
         return changes
 
+    def _causes(self, text: str) -> list[str]:
+        """Keys of the file, with their places, that may cause a fault of its base.
+
+        They are those that the text of the fault names, else all, if they are few.
+        """
+        own = [key for key, place in self.places.items() if place[0] == self.name]
+        sections_above = {key[:-1] for key in own}
+        paths = [
+            key[: next((n for n, part in enumerate(key) if isinstance(part, int)), len(key))]
+            for key in own
+            if key not in sections_above and key[:1] not in UNCHANGING
+        ]
+        words = re.findall(r"\w+", re.sub(r"`[^`]*`", "", text))
+        named_depths = {path: _named_depth(path, words) for path in paths}
+        named_paths = [path[:depth] for path, depth in named_depths.items() if depth]
+        if not named_paths:
+            # Several keys of one section are named by their section.
+            counts = Counter(path[:-1] for path in dict.fromkeys(paths))
+            paths = [path[:-1] if counts[path[:-1]] > 1 else path for path in paths]
+        changed_paths = list(dict.fromkeys(named_paths or paths))
+        if len(changed_paths) > MOST_CAUSES:
+            return [self.name]
+        causes = list[str]()
+        for path in changed_paths:
+            place = self.places[path]
+            if not isinstance(place, str):
+                causes.append(f"{path_text(path)} ({self.name}:{place[1]}:{place[2]})")
+        return causes
+
     def _given_path(self, path: Path) -> Path:
         """Path at which the file gives a value: that of the common key, if one gave it."""
         for n in range(1, len(path) + 1):
             if path[:n] in self.common:
                 return (*self.common[path[:n]], *path[n:])
         return path
+
+
+def _named_depth(path: Path, words: Sequence[str]) -> int:
+    """Number of the keys of a path up to the last one that words of a text name; 0: none."""
+    depth = 0
+    for n, part in enumerate(path[1:], 2):
+        names = {str(part), *(word for word in words if word.startswith(f"{part}_"))}
+        if names.intersection(words):
+            depth = n
+    return depth
 
 
 def _section(path: Path) -> Path:

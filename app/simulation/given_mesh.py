@@ -23,8 +23,16 @@ def case_on(mesh: TaggedMesh, case: Mapping[str, object], folder: Path) -> Loade
         folder: Folder of the results.
 
     Raises:
-        InputError: The case is wrong, or its `geometry` has other keys.
+        InputError: The mesh has no names, the case is wrong, or its `geometry` has other keys.
     """
+    if not isinstance(mesh, TaggedMesh):
+        raise InputError(
+            f"mesh: is a {type(mesh).__module__}.{type(mesh).__name__}; expected a TaggedMesh,"
+            " which names the parts of a dolfinx mesh:"
+            " from meshes.distribute import TaggedMesh, then"
+            " TaggedMesh.from_markers(mesh, regions={NAME: marker}, boundaries={NAME: marker}), or"
+            " from_tags (docs/howto/python.md)"
+        )
     geometry = case.get("geometry", {})
     if not isinstance(geometry, Mapping) or geometry.keys() - {"interfaces"}:
         raise InputError(

@@ -6,7 +6,7 @@ Input is doubtful if a unit looks wrong, if nothing acts, or if elements lock.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -257,6 +257,7 @@ def input_notes(case: Case) -> list[Verdict]:
     notes += _doubtful_materials(case)
     notes += _several_steady_states(case)
     notes += _doubtful_loads(case)
+    notes += _no_load(case)
     for name, region in case.regions.items():
         notes += from_memory(f"regions.{name}", region.source)
     notes += _without_effect(case)
@@ -327,6 +328,31 @@ def _doubtful_loads(case: Case) -> Iterable[Verdict]:
         if 0.0 < largest < math.radians(0.5):
             message = "all angles are below 0.5 degrees; are they in radians?"
             yield note(message, f"motions.{name}.rotation.cycle_table")
+
+
+def _no_load(case: Case) -> Iterable[Verdict]:
+    """Note on a case in which no load acts and nothing else moves or strains the bodies."""
+    if case.loads:
+        if not any(load.cycle is not None or _acts(load.history) for load in case.loads.values()):
+            remedy = "give a `history` that is not 0 in one of the stages"
+            yield note("no load acts at any time: each `history` is 0", "loads", remedy)
+        return
+    moves = any(not s.is_spring and s.moves and _acts(s.history) for s in case.supports.values())
+    strains = any(getattr(region, "eigenstrains", ()) for region in case.regions.values())
+    if moves or strains or case.motions or case.conducts or not solid(case):
+        return
+    is_pressed = any(law.interferes for law in case.interfaces.values())
+    # A gap may be an expression with interferences.
+    has_gap = any(law.has_gap for law in case.interfaces.values())
+    if has_gap and not case.geometry.has_gruen_zones:
+        return  # a fit is tested
+    only = "; only the interference strains the bodies" if is_pressed else ""
+    yield note(f"no load acts at any time{only}", "loads", "add a load, if one is meant to act")
+
+
+def _acts(history: Sequence[float] | None) -> bool:
+    """Return True if a history is not always 0."""
+    return history is None or any(history)
 
 
 def _falling_loads(case: Case) -> Iterable[Verdict]:

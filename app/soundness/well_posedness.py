@@ -21,6 +21,7 @@ from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
 from app.foundation.verdict import Severity, Verdict, note
 from app.heat.nodes import outside_text
+from app.laws.values import ROUNDING
 from app.scene.scene import build_scene
 from app.soundness import paths_on_mesh
 from app.soundness.bodies_on_mesh import (
@@ -101,6 +102,30 @@ def check_on_mesh(case: Case, parts: MeshPieces) -> list[Verdict]:
 
 
 # Contradictions
+
+
+def _empty_zones(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
+    """Zones of interfaces of an imported mesh that cover nothing; other stems are checked before.
+
+    Heights are those of the geometry: without a stem, z in the file.
+    """
+    for name, law in case.interfaces.items() if isinstance(case.geometry, MeshFile) else ():
+        if not law.zone_heights:
+            continue
+        heights = case.geometry.height_on_stem(parts.x[parts.on_interface(name)])
+        lowest, highest = float(heights.min()), float(heights.max())
+        least_length = 0.0 if highest - lowest < ROUNDING else ROUNDING
+        for zone, (low, high) in law.zone_heights.items():
+            covered_length = min(high, highest + ROUNDING) - max(low, lowest - ROUNDING)
+            if covered_length < least_length + ROUNDING:
+                place = f"heights from {lowest:.4g} to {highest:.4g} mm"
+                if highest - lowest < ROUNDING:
+                    place = f"the height {lowest:.4g} mm"
+                yield Verdict(
+                    f"covers nothing of the interface, which is at {place}",
+                    f"interfaces.{name}.zones.{zone}",
+                    "heights are z in the file of the mesh; change `above` or `below`",
+                )
 
 
 def _prescribed_displacements(case: Case, name: str, x: Floats) -> Floats:
@@ -551,6 +576,7 @@ MESH_CHECKS: tuple[Check, ...] = (
     _followers_moved_twice,
     _misplaced_probes,
     paths_on_mesh.misplaced_paths,
+    _empty_zones,
 )
 # Checks of mechanics: those that can refuse a case, then those that only note.
 MECHANICS_CHECKS: tuple[tuple[Check, ...], ...] = (

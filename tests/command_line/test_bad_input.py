@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import errno
+import re
 from pathlib import Path
 
 import pytest
@@ -345,3 +346,53 @@ def test_bad_input_names_cannot_leave_their_folder(name: str, tmp_path: Path) ->
         f"{BLOCKS.read_text()}\noutput: {{probes: {{'{quoted}': {{at: [0, 0, 0]}}}}}}\n"
     )
     assert any("is not a name" in m for m in complaints(path))
+
+
+# Cases over a shipped base, with the key of the file that goes with an error in the base.
+COLLAR = "geometry: {stem: {collar: {thickness: 3 mm, angle: 90 deg}}}"
+OVER_BASE = {
+    "law": (f"base: pressed\n{COLLAR}\n", "interfaces: no law for collar_bone", "2:19"),
+    "material": (f"base: pressed\n{COLLAR}\n", "regions: no material for collar", "2:19"),
+    "null": (
+        "base: collar\ngeometry: {stem: {collar: null}}\n",
+        "regions.collar: .* has no region 'collar'; .*; remove it by `regions: {collar: null}`",
+        "2:19",
+    ),
+    "null law": (
+        "base: collar\ngeometry: {stem: {collar: null}}\n",
+        "interfaces.collar_bone: .*; remove it by `interfaces: {collar_bone: null}`",
+        "2:19",
+    ),
+    "history": (
+        "base: pressed\ninterfaces: {stem_bone: {gap_history: [0, 1]}}\n",
+        "stages: the interference grows until the end of the last stage",
+        "2:26",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", OVER_BASE)
+def test_bad_input_in_a_base_names_the_key_of_the_file(name: str, path: Path) -> None:
+    """The line of the error is in the base; the cause is in the file."""
+    text, fault, place = OVER_BASE[name]
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        load(path)
+    pattern = rf"configs/\w+\.yaml:\d+:\d+: {fault}.*; does .* \({path}:{place}\)"
+    assert any(re.search(pattern, message) for message in caught.value.messages)
+
+
+def test_bad_input_key_of_the_section_above_is_said_to_belong_there(path: Path) -> None:
+    path.write_text("base: pressed\ngeometry: {stem: {tip_void: 5 mm}}\n")
+    expected = "geometry.stem.tip_void: unknown key here; it is a key of geometry"
+    assert complaints(path) == [f"2:19: {expected}"]
+    path.write_text("base: pressed\n")
+    with pytest.raises(InputError, match=expected):
+        load(path, ["geometry.stem.tip_void=5 mm"])
+
+
+def test_bad_input_width_in_another_unit_is_shown_in_mm(path: Path) -> None:
+    path.write_text("base: pressed\ngeometry: {stem: {half_width: 12 cm}}\n")
+    (message,) = complaints(path)
+    assert message.startswith("2:19: geometry.stem.half_width: at 10 mm below the tip")
+    assert "; it is 120 mm at z = " in message

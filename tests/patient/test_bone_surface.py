@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import meshio
+import nibabel
 import numpy as np
 import pytest
 
@@ -113,3 +114,23 @@ def test_bone_surface_note_on_an_open_proximal_end(tmp_path: Path) -> None:
         assert "open at the proximal end, at (4" in note and f"({edges} edges)" in note
     surface, frame = judged(stl(tmp_path, opened(parametric_femur(), -150.0).corners))
     assert len(surface.rim) and frame.doubts(surface) == []
+
+
+@pytest.mark.parametrize(
+    ("edge", "units"),
+    [(7.2, None), (0.72, "cm"), (7.2 / 25.4, "cm or inch"), (0.0072, "m")],
+)
+def test_bone_surface_of_an_image_in_another_unit_names_it(
+    edge: float, units: str | None, tmp_path: Path
+) -> None:
+    """40 voxels of 7.2 mm are 288 mm long, as a femur; 288 mm are 11.3 inch, or 113 mm by cm."""
+    values = np.zeros((12, 12, 44), np.uint8)
+    values[3:9, 3:9, 2:42] = 1
+    affine = np.diag([edge, edge, edge, 1.0])
+    nibabel.Nifti1Image(values, affine).to_filename(tmp_path / "labels.nii")
+    if units is None:
+        bone_surface.read(tmp_path / "labels.nii", label=1)
+        return
+    with pytest.raises(GeometryError, match=rf"is the unit of the image {units}\?") as caught:
+        bone_surface.read(tmp_path / "labels.nii", label=1)
+    assert "or give the label of the femur" in str(caught.value)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import nibabel
 import numpy as np
 import pytest
+from scipy.ndimage import affine_transform
 from scipy.spatial import cKDTree
 
 from app.case import case as case_file
@@ -17,6 +19,7 @@ from app.patient import first_case
 from app.patient.geometry import Patient
 from app.soundness.preview import input_notes
 from meshes import femur_bone, room
+from meshes.placement import lengthening
 from meshes.plane_sections import centroid
 from tests.patient.scans import HIP, NUMBERS, in_patient, scan
 
@@ -56,6 +59,85 @@ def test_first_case_of_a_scan_has_the_bone_of_the_patient(
         expected = femur_bone.Tube(table).radius(turn, np.full(48, z)).mean()
         radius = math.sqrt(centroid(surface.level(z))[1] / math.pi)
         assert radius == pytest.approx(expected, abs=0.25)
+
+
+def test_first_case_says_where_the_scan_ends(tmp_path: Path) -> None:
+    """It ends with its lowest voxels, 130 mm below the head, as far below the lesser trochanter."""
+    folder = scan(tmp_path, 130.0, edges=(1.5, 1.5, 1.5))
+    path, assumed = first_case.write(folder / "hip", folder / "labels.nii.gz", None, None, None)
+    geometry = case_file.load(path).config.geometry
+    assert isinstance(geometry, Patient)
+    frame = geometry.femur.frame
+    depth = 130.0 - float(frame.head[2] - frame.trochanter[2])
+    found = re.search(r"the scan ends (\d+) mm below the lesser trochanter", assumed[1])
+    assert found
+    assert float(found[1]) == pytest.approx(depth, abs=1.5)
+    notes = [v.what for v in input_notes(case_file.load(path).config)]
+    assert any(f"the scan ends at z = -{found[1]} mm" in note for note in notes)
+    assert abs(lengthening(geometry)) < first_case.LEG_LIMIT
+
+
+def test_first_case_has_the_canal_of_a_ct_that_is_turned(tmp_path: Path) -> None:
+    """Its slices are turned by 25 degrees about the shaft; its numbers are those of each place."""
+    folder = scan(tmp_path, 120.0, edges=(1.5, 1.5, 1.5))
+    image = nibabel.load(folder / "ct.nii.gz")
+    values, affine = np.asarray(image.dataobj, float), image.affine
+    angle = math.radians(25.0)
+    turn = np.eye(4)
+    turn[:2, :2] = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
+    middle = affine @ np.r_[(np.array(values.shape) - 1) / 2, 1.0]
+    about, back = np.eye(4), np.eye(4)
+    about[:3, 3], back[:3, 3] = middle[:3], -middle[:3]
+    shape = (2 * max(values.shape[:2]), 2 * max(values.shape[:2]), values.shape[2])
+    start = np.eye(4)
+    start[:2, 3] = [(a - b) / 2 for a, b in zip(values.shape[:2], shape[:2], strict=True)]
+    turned = about @ turn @ back @ affine @ start
+    index = np.linalg.inv(affine) @ turned
+    numbers = affine_transform(
+        values, index[:3, :3], index[:3, 3], output_shape=shape, order=1, mode="nearest"
+    )
+    nibabel.Nifti1Image(numbers.astype(np.int16), turned).to_filename(folder / "turned.nii.gz")
+    widths = []
+    for name in ("ct", "turned"):
+        ct = folder / f"{name}.nii.gz"
+        path, _ = first_case.write(folder / name, folder / "labels.nii.gz", ct, None, None)
+        geometry = case_file.load(path).config.geometry
+        assert isinstance(geometry, Patient)
+        widths.append(math.sqrt(centroid(geometry.femur.canal.level(-40.0))[1] / math.pi))
+    assert widths[1] == pytest.approx(widths[0], abs=0.15)
+
+
+@pytest.mark.parametrize("below", [24.0, 33.0, 60.0])
+def test_first_case_says_what_a_scan_lacks(below: float, tmp_path: Path) -> None:
+    """The apex of the lesser trochanter is 51 mm below the head, and 17 and 3 mm are below it."""
+    folder = scan(tmp_path, below, edges=(1.5, 1.5, 1.5))
+    with pytest.raises(InputError, match=r"ends about \d+ mm lower") as caught:
+        first_case.write(folder / "hip", folder / "labels.nii.gz", None, None, None)
+    found = re.search(r"about (\d+) mm lower", str(caught.value))
+    assert found
+    assert float(found[1]) == pytest.approx(51.3 + 17.1 + 3.0 - below, abs=3.0)
+
+
+def test_first_case_names_no_keys_that_init_has_not(tmp_path: Path) -> None:
+    """A message on keys of a case says how to give them."""
+    folder = scan(tmp_path, 40.0, edges=(1.5, 1.5, 1.5))
+    with pytest.raises(InputError, match=r"landmarks\.shaft .* `mantle init` takes no such keys"):
+        first_case.write(folder / "hip", folder / "labels.nii.gz", None, None, None)
+
+
+def test_first_case_limits_the_leg_length(tmp_path: Path) -> None:
+    """Patients notice 10 mm. The neck is shorter by whole millimetres, and the output says so."""
+    folder = scan(tmp_path, 150.0, edges=(1.5, 1.5, 1.5))
+    labels, ct = folder / "labels.nii.gz", folder / "ct.nii.gz"
+    path, assumed = first_case.write(folder / "hip", labels, ct, None, None, cementless=True)
+    geometry = case_file.load(path).config.geometry
+    assert isinstance(geometry, Patient)
+    assert 6.9 < lengthening(geometry) <= 8.0
+    usual = case_file.load(path, ["geometry.stem.head_height=25 mm"]).config.geometry
+    assert isinstance(usual, Patient)
+    assert lengthening(usual) > 8.0
+    shorter = 25.0 - geometry.stem.head_height
+    assert f"the neck is {shorter:g} mm shorter (stem.head_height)" in assumed[3]
 
 
 def test_first_case_without_ct_has_the_canal_of_the_table(tmp_path: Path) -> None:

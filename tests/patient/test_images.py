@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import random
 import re
@@ -164,6 +165,15 @@ def test_images_files_of_other_kinds_have_a_remedy(name: str, tmp_path: Path) ->
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError, match=rf"{re.escape(name)}: {message}"):
         images.read(tmp_path / name)
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_images_text_under_the_name_of_an_image_is_named(compressed: bool, tmp_path: Path) -> None:
+    content = b"femur 75\n" * 20
+    path = tmp_path / "labels.nii.gz"
+    path.write_bytes(gzip.compress(content) if compressed else content)
+    with pytest.raises(InputError, match=r"labels\.nii\.gz: is a text file, not an image"):
+        images.read(path)
 
 
 def test_images_header_and_numbers_in_two_files_are_both_its_files(tmp_path: Path) -> None:

@@ -92,6 +92,24 @@ def test_patient_note_on_the_canal_has_the_level_of_its_file(folder: Path) -> No
     assert numbers[1] < numbers[0]
 
 
+@pytest.mark.parametrize(
+    ("ream", "starts"),
+    [
+        ("none", {"least bone around the canal"}),
+        ("broach", {"most bone removed by reaming", "least bone left by reaming"}),
+    ],
+)
+def test_patient_notes_on_reaming_are_those_of_a_reamed_canal(
+    ream: str, starts: set[str], folder: Path
+) -> None:
+    geometry = patient(folder, canal={"surface": "canal.stl", "ream": ream})
+    bone = LayeredSurfaces(geometry, options()).bone
+    assert isinstance(bone, MeasuredLayers)
+    titles = {note.partition(":")[0] for note in bone.notes}
+    words = ("reaming", "around the canal")
+    assert {title for title in titles if any(word in title for word in words)} == starts
+
+
 def test_patient_bone_zones_equal_the_parametric_ones(folder: Path) -> None:
     x = np.random.default_rng(0).uniform((-15, -15, -150), (15, 15, 5), (4000, 3))
     here, there = Zones(as_own(folder)), Zones(TURNED)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -261,3 +262,37 @@ def test_shaft_refuses_a_scan_that_ends_too_high(
     write(tmp_path / "bone.stl", below_head(parametric_femur(), below))
     with pytest.raises((ValidationError, GeometryError), match=message):
         patient(tmp_path, bone={"surface": "bone.stl", "unit": "mm"} | changes)
+
+
+@pytest.mark.parametrize("below", [24.0, 34.0, 45.0, 50.0, 58.0])
+def test_shaft_missing_length_is_that_of_a_scan_that_is_accepted(
+    tmp_path: Path, below: float
+) -> None:
+    """The scan lacks the way to the lesser trochanter and 0.75 head radii of shaft below it.
+
+    3 mm at the end of a surface do not count, since its edge may be round.
+    """
+    frame = landmarks.find(parametric_femur())
+    trochanter = float(frame.head[2] - frame.trochanter[2])
+    surface = below_head(parametric_femur(), below)
+    with pytest.raises(GeometryError, match=r"ends about \d+ mm lower") as caught:
+        landmarks.find(surface)
+    found = re.search(r"about (\d+) mm lower", str(caught.value))
+    assert found
+    assert float(found[1]) == pytest.approx(trochanter + 0.75 * frame.radius + 3.0 - below, abs=2)
+    lower = landmarks.find(below_head(parametric_femur(), below + float(found[1]) + 2.0))
+    assert lower.trochanter == pytest.approx(frame.trochanter, abs=2.0)
+
+
+def test_shaft_cut_below_a_continued_shaft_names_the_end_of_the_scan(tmp_path: Path) -> None:
+    """The scan ends 150 mm below the head; the shaft is continued to below the isthmus."""
+    write(tmp_path / "bone.stl", below_head(parametric_femur(), 150.0))
+    keys = {"bone": {"surface": "bone.stl", "unit": "mm"}}
+    whole = patient(tmp_path, **keys).femur
+    end = float(whole.frame.to_model(whole.frame.head)[2]) - 150.0
+    with pytest.raises(ValidationError) as caught:
+        patient(tmp_path, **keys, distal_cut_z="-400 mm")
+    found = re.search(r"surface, (-\d+) mm and continued to (-\d+) mm", str(caught.value))
+    assert found
+    assert float(found[1]) == pytest.approx(end, abs=1.0)
+    assert float(found[2]) == pytest.approx(whole.lowest, abs=1.0)

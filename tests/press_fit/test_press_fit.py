@@ -283,6 +283,38 @@ def test_press_fit_ingrowth_counts_the_motion_of_the_last_cycle(tmp_path: Path) 
     )
 
 
+def test_press_fit_ingrowth_counts_the_stage_with_the_largest_area(tmp_path: Path) -> None:
+    """Peaks of 0.2 and 0.03 mm return to a tenth: 0.18 and 0.027 mm are inducible."""
+    results = support.run(
+        PRESSED,
+        tmp_path / "a",
+        "output.report=false",
+        "supports.top.x=0.2 mm",
+        "supports.top.history=[0, 1, 0, 0.15]",
+        "stages=[{name: insertion}, {name: far, cycles: 2}, {name: rest}, {name: near, cycles: 2}]",
+    )
+    q, cycles = results.summary["interfaces"]["bone_metal"], results.summary["cycles"]
+    assert q["area_inducible_over_40um"] == 0.0
+    far, near = (cycles[stage]["areas"]["bone_metal"] for stage in ("far", "near"))
+    assert far["area_inducible_over_150um"] == pytest.approx(16.0)
+    assert near["area_inducible_over_40um"] == 0.0
+    (text,) = (v["what"] for v in results.summary["verdicts"] if v.get("where") == "ingrowth")
+    assert text.startswith("0 % of bone_metal moves less than 40 µm, 100 % more than 150 µm")
+    assert "last peak of stage 'far', which has the largest area above 40 µm of 2 stages" in text
+
+
+def test_press_fit_ingrowth_is_that_of_bone_alone() -> None:
+    """Cement has a volume under tension; bone around a stem has a hoop strain."""
+    q = {"area": 200.0, "area_micromotion_over_40um": 50.0, "area_micromotion_over_150um": 2.0}
+    cement, bone = {"volume_over_3_MPa": 1.0}, {"insertion_hoop_strain_p99": 0.001}
+    regions = {"stem": {}, "cement": cement, "cancellous_bone": bone}
+    for name, count in (("stem_cement", 0), ("stem_sleeve", 0), ("stem_bone", 1)):
+        summary: Any = {"interfaces": {name: q}, "regions": regions}
+        assert len([*_ingrowth(summary)]) == count
+    (verdict,) = _ingrowth({"interfaces": {"bone_metal": q}, "regions": {"bone": {}, "metal": {}}})
+    assert "no cycles" not in verdict.what
+
+
 def test_press_fit_loads_need_a_stage_after_the_insertion(tmp_path: Path) -> None:
     path = tmp_path / "case.yaml"
     load_ = "loads: {push: {kind: pressure, boundary: top, pressure: 1 MPa}}\n"

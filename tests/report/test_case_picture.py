@@ -12,11 +12,12 @@ import pytest
 from matplotlib.text import Text
 
 from app.case.case import load
-from app.plots import figures
+from app.plots import figures, sections
 from app.report import case_picture
 from app.system import folders
 from meshes import build
 from tests import support
+from tests.patient.bones import moved, parametric_femur, write
 
 CASES = {
     "stance.yaml": "10mm",
@@ -94,3 +95,26 @@ def test_case_picture_legend_has_the_friction_of_zones(tmp_path: Path, made: lis
     case_picture.draw(case, data, tmp_path / "case.png")
     legends = [text.get_text() for legend in made[0].legends for text in legend.get_texts()]
     assert any(text.endswith(", half coated 0.6") for text in legends)
+
+
+def test_case_picture_of_a_right_femur_says_that_it_is_mirrored(
+    tmp_path: Path, made: list[Any]
+) -> None:
+    mirror = np.diag([-1.0, 1.0, 1.0])
+    for name, matrix in (("left", np.eye(3)), ("right", mirror)):
+        write(tmp_path / f"{name}.stl", moved(parametric_femur(), matrix, np.zeros(3)))
+        path = tmp_path / f"{name}.yaml"
+        path.write_text(
+            "base: stance\nmesh: {size: 12 mm, order: 1}\n"
+            "geometry: {kind: patient, bone: {surface: "
+            f"{name}.stl, unit: mm}}}}\nloads: {{library: one_leg_stance}}\n"
+        )
+        case = load(path).config
+        data = build(case.geometry, case.mesh, folders.cache("meshes"))
+        case_picture.draw(case, data, tmp_path / "case.png")
+        assert case.geometry.is_mirrored == (name == "right")
+        assert ("mirrored" in made[-1].texts[0].get_text()) == (name == "right")
+        sections.interfaces(data, tmp_path / "a.png", title="a right femur, mirrored")
+        assert made[-1]._suptitle.get_text() == "a right femur, mirrored"
+        edges = [text.get_text() for legend in made[-1].legends for text in legend.get_texts()]
+        assert edges == ["on cortical bone"]

@@ -70,6 +70,22 @@ def test_compared_numbers_are_ordered_by_significance(tmp_path: Path) -> None:
     assert by_key["dissipation"].difference(1) == "0"
 
 
+@pytest.mark.parametrize(
+    ("first", "second", "text"),
+    [
+        (Number(2e-16), Number(4.0), "4, errors unknown"),
+        (Number(0.5, 0.8), Number(4.0, 0.8), "3.5 ± 1.6"),
+        (Number(2.0, 0.5), Number(4.0, 0.5), "2.0 ± 1.0 (+100.0 %)"),
+    ],
+)
+def test_compared_numbers_have_no_difference_relative_to_about_zero(
+    first: Number, second: Number, text: str
+) -> None:
+    """Within its rounding or its error a number may be zero."""
+    number = compared_numbers.ComparedNumber("a.b", "a", "b", "µm", (first, second), 0.1)
+    assert number.difference(1) == text
+
+
 def test_compared_numbers_are_of_every_section(tmp_path: Path) -> None:
     """Sections are parts of interfaces, vectors, strains, temperatures, Gruen zones; not costs."""
     sections = {

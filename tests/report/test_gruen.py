@@ -11,6 +11,21 @@ from tests.report.sweeps import MODULI, Maker, contact, femur, zones
 # Zones and mantles
 
 
+def test_gruen_errors_are_marked_as_in_tables(maker: Maker) -> None:
+    """0.7 ± 0.84 is not resolved; the error of a zone may be unknown beside those of others."""
+    summary = {"gruen": zones(0.003, ())}
+    errors = {"1": 0.0008, "2": 0.0084}
+    for zone, error in errors.items():
+        summary["gruen"][zone]["strain_energy_density_error"] = {"cortical_bone": error}
+    maker.stance("titanium", 3.0, 1.0, {}, summary=summary)
+    (_, _, rows), *_ = gruen.tables(rs.read(maker.write()).cases[0])
+    assert [row[1] for row in rows[:3]] == [
+        "3.00 ± 0.80",
+        "6 ± 8.4 (not resolved)",
+        "9 (error unknown)",
+    ]
+
+
 def test_gruen_stress_shielding_is_relative_to_the_intact_femur(
     maker: Maker, monkeypatch: pytest.MonkeyPatch
 ) -> None:

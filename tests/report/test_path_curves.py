@@ -51,6 +51,14 @@ def test_path_curves_draw_the_ends_of_stages(runs: list[Path]) -> None:
     assert last.y == pytest.approx(-30.0 * np.arange(7), abs=1e-6)
 
 
+def test_path_curves_of_rounding_are_zero(runs: list[Path]) -> None:
+    case = SweptCase("hard", runs[0], CONVERGED)
+    table = dict(case.paths["through"])
+    table["displacement.z [mm]"] = np.full_like(table["displacement.z [mm]"], 4e-12)
+    first, *_ = path_curves.panels(table, path_curves.stages_of(case))
+    assert not any(any(line.y) for line in first.lines)
+
+
 def test_path_curves_are_on_the_page(runs: list[Path]) -> None:
     html = (runs[0] / "report.html").read_text(encoding="utf-8")
     section = html[html.index('<section id="paths">') :].partition("</section>")[0]

@@ -275,6 +275,41 @@ def test_placement_page_offers_other_stems_with_unit_and_collar(tmp_path: Path) 
     assert other.implant.collar_thickness == 2.5
 
 
+def test_placement_page_of_a_stem_that_fits_nowhere(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is at the position of the file: the search has none with room."""
+    source, path = tmp_path / "hip.yaml", tmp_path / "place.html"
+    for insertion in ("best", "{depth: 3 mm, varus: 1 deg, best: {}}"):
+        source.write_text(
+            "base: stance\ngeometry:\n"
+            "  stem: {length: 110 mm, half_width: 14 mm, half_depth: 11 mm, corner_radius: 5 mm,"
+            " tip_half_width: 11 mm, tip_half_depth: 9 mm, tip_corner_radius: 4 mm}\n"
+            f"  tip_z: -81 mm\n  insertion: {insertion}\n"
+        )
+        assert main(["place", str(source), "-o", str(path)]) == 0
+        output = capsys.readouterr()
+        assert "no position within the limits of the search" in output.err
+        assert "at the position as given" in output.err and output.out.strip() == str(path)
+        head = json.loads(re.search(r'"position": (\{.*?\})', path.read_text("utf-8"))[1])
+        assert head["varus"] == pytest.approx(0.0 if insertion == "best" else 1.0)
+
+
+def test_placement_page_replaces_pages_alone(
+    written: tuple[OperatedHip, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As `mantle mesh` replaces its files; a file of another kind stays."""
+    case, source = read(tmp_path)
+    page, text = tmp_path / "place.html", source.read_text()
+    shutil.copy(written[1], page)
+    page.write_text(page.read_text("utf-8").replace("<title>", "<title>old "), "utf-8")
+    assert main(["place", str(source), "-o", str(page)]) == 0
+    assert "<title>old " not in page.read_text("utf-8")
+    with pytest.raises(InputError, match=r"hip\.yaml: exists and is not a page"):
+        placement_page.write(case, source, source)
+    assert source.read_text() == text
+
+
 def test_placement_page_refuses_a_case_without_a_stem(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -22,10 +22,12 @@ from app.foundation.verdict import Verdict, note
 from app.plots import curves
 from app.report import lead, pictures, run_report, step_curves, viewer
 from app.report.input_spread import InputSpread
-from app.report.page import Bullets
+from app.report.page import Bullets, PageSection, table
+from app.report.page import page as page_of
 from app.report.sweep_results import CONVERGED, SweptCase
 from app.results import verdicts
 from app.schema import yaml_file
+from tests.patient.bones import moved, parametric_femur, write
 from tests.support import CONFIGS, summary
 
 COARSE = {"mesh.size": "4 mm", "mesh.far_size": "6 mm", "mesh.order": 1}
@@ -394,3 +396,29 @@ def test_run_report_has_landmarks_if_the_files_of_the_case_are_there(tmp_path: P
 )
 def test_run_report_places_in_words(place: str, words: str) -> None:
     assert place_in_words(place) == words
+
+
+@pytest.mark.parametrize(
+    ("interface", "is_cemented"), [("stem-cement", True), ("stem-bone", False)]
+)
+def test_run_report_limits_of_cemented_stems_are_on_their_pages(
+    interface: str, is_cemented: bool
+) -> None:
+    blocks = table(["", interface], [["area of motion over 30 µm (mm²)", "7"]])
+    html = page_of("A", [PageSection("numbers", "Numbers", blocks)], [])
+    assert "Why 30 µm" in html
+    assert ("cemented stems" in html) == is_cemented
+
+
+def test_run_report_of_a_right_femur_says_that_it_is_mirrored(tmp_path: Path) -> None:
+    mirror = np.diag([-1.0, 1.0, 1.0])
+    for name, matrix in (("left", np.eye(3)), ("right", mirror)):
+        folder = tmp_path / name
+        folder.mkdir()
+        write(folder / "bone.stl", moved(parametric_femur(), matrix, np.zeros(3)))
+        (folder / "case.yaml").write_text(
+            "base: stance\ngeometry: {kind: patient, bone: {surface: bone.stl, unit: mm}}\n"
+            "loads: {library: one_leg_stance}\n"
+        )
+        sentence = run_report._mirrored(run_report.opened(folder))
+        assert ("right femur" in sentence) == (name == "right")

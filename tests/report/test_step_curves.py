@@ -46,6 +46,17 @@ def test_step_curves_draw_forces_over_stages_that_change_them() -> None:
     assert step_curves.forces(alone, {step_curves.TIME: np.array([0.5, 1.0])}) == []
 
 
+def test_step_curves_of_rounding_are_not_drawn() -> None:
+    """4e-12 mm of slip are rounding; a nanometre is not."""
+    columns = {
+        "time [-]": np.array([0.5, 1.0]),
+        "a slip_p99 [mm]": np.array([1e-12, 4e-12]),
+        "a gap_p99 [mm]": np.array([1e-7, 1e-6]),
+    }
+    (panel,) = step_curves.over_time(columns, at_rest=True)
+    assert panel.title.startswith("gap")
+
+
 def test_step_curves_begin_at_rest() -> None:
     """Lengths vanish without loads. Fractions and histories in seconds have no such point."""
     titles = ("time [-]", "a slip_p99 [mm]", "a open_fraction [-]", "seconds [s]")

@@ -311,6 +311,23 @@ def test_viewer_interfaces_are_drawn_on_the_inner_body(run: Run, tmp_path: Path)
         assert area == pytest.approx(run.areas(contact).sum(), rel=0.01)
 
 
+def test_viewer_picture_says_that_pressures_are_means(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The table has the maximum at a point, without rim and tip."""
+    labels = list[str]()
+
+    def save(figure: Any, path: Path, dpi: int) -> None:
+        labels.extend(axes.get_xlabel() for axes in figure.axes)
+
+    monkeypatch.setattr(pictures.figures, "save", save)
+    (figure,) = pictures.sides(run, tmp_path)
+    of_stem = [label for label in labels if "on the stem" in label]
+    means = ["largest mean at a node" in label for label in of_stem]
+    assert means == ["pressure" in label for label in of_stem] and any(means)
+    assert "may be larger" in figure.caption
+
+
 def test_viewer_motion_has_the_steps_between_stages(moving: Run) -> None:
     """Steps are in order, with displacement and slip alone.
 

@@ -108,6 +108,51 @@ def test_given_mesh_refuses(change: dict[str, Any], words: str, tmp_path: Path) 
         mantle.run(CASE | change, tmp_path / "box", mesh=blocks())
 
 
+def test_given_mesh_without_names_is_refused_with_the_way_to_give_them(tmp_path: Path) -> None:
+    box = create_box(MPI.COMM_SELF, [[0, 0, 0], [4, 4, 4]], [2, 2, 2])
+    other: Any = box
+    with pytest.raises(InputError, match=r"expected a TaggedMesh.* TaggedMesh\.from_markers\("):
+        mantle.run(CASE, tmp_path / "box", mesh=other)
+
+
+def test_given_mesh_names_that_mark_nothing_are_refused() -> None:
+    """The message says what exists: the place of the mesh, or its tags."""
+    box = create_box(MPI.COMM_SELF, [[0, 0, 0], [4, 4, 4]], [2, 2, 2])
+    whole = {"all": lambda x: x[2] > -1}
+    sides = {"top": lambda x: np.isclose(x[2], 4), "side": lambda x: np.isclose(x[0], 5)}
+    fault = "boundaries: no exterior facet is marked side; the mesh has x 0 to 4, y 0 to 4, z 0"
+    with pytest.raises(InputError, match=fault):
+        TaggedMesh.from_markers(box, whole, sides)
+    with pytest.raises(InputError, match="regions: no cell is marked none; the mesh has x 0 to 4"):
+        TaggedMesh.from_markers(box, whole | {"none": lambda x: x[2] > 9}, {})
+    named = TaggedMesh.from_markers(box, whole, {"top": sides["top"]})
+    parts = named.mesh, named.cell_tags, named.facet_tags
+    with pytest.raises(InputError, match="boundaries: no exterior facet is marked b; the tags are"):
+        TaggedMesh.from_tags(*parts, {"all": 1}, {"a": 1, "b": 7})
+    with pytest.raises(InputError, match="regions: no cell is marked c; the tags are 1"):
+        TaggedMesh.from_tags(*parts, {"all": 1, "c": 2}, {})
+
+
+@pytest.mark.parametrize(
+    ("zone", "covers"),
+    [({"above": "3 mm"}, False), ({"below": "1 mm"}, False), ({"above": "1 mm"}, True)],
+)
+def test_given_mesh_zones_that_cover_nothing_are_refused(
+    zone: dict[str, str], covers: bool, tmp_path: Path
+) -> None:
+    """The joint is at z = 2 mm."""
+    joint = {"kind": "contact", "friction_coefficient": 0.3}
+    joint |= {"zones": {"a": zone | {"friction_coefficient": 0.1}}}
+    case = CASE | {"interfaces": {"joint": joint}}
+    if covers:
+        results = mantle.run(case, tmp_path / "box", mesh=blocks())
+        assert "a" in results.summary["interfaces"]["joint"]["zones"]
+        return
+    fault = r"interfaces\.joint\.zones\.a: covers nothing of the interface, .* height 2 mm"
+    with pytest.raises(InputError, match=fault):
+        mantle.run(case, tmp_path / "box", mesh=blocks())
+
+
 def test_given_mesh_goes_with_a_case_of_mappings_alone(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="needs an output and a mesh"):
         mantle.run(CASE, tmp_path / "box")

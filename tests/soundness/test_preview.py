@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -169,3 +170,26 @@ def test_preview_notes_a_mesh_in_metres(tmp_path: Path) -> None:
     geometry = f"geometry={{kind: file, path: {tmp_path}/a.msh, {sides}}}"
     notes = judged(TWO, geometry, *tissues)
     assert any("0.0173 mm from corner to corner: is its unit really mm?" in n for n in notes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, None),
+        ({"loads.history": [0, 0]}, "no load acts at any time: each `history` is 0"),
+        ({"loads": None}, "no load acts at any time; only the interference strains the bodies"),
+    ],
+)
+def test_preview_notes_that_no_load_acts(changes: dict[str, Any], expected: str | None) -> None:
+    notes = [n for n in texts(mantle.load(CONFIGS / "pressed.yaml", **changes).config)]
+    found = [n for n in notes if "no load acts" in n]
+    assert len(found) == (expected is not None)
+    assert expected is None or expected in found[0]
+
+
+@pytest.mark.parametrize("name", ["cylinders", "cure"])
+def test_preview_notes_no_missing_load_where_else_something_acts(name: str) -> None:
+    """A prescribed displacement, and heat."""
+    case = mantle.load(CONFIGS / f"{name}.yaml").config
+    assert not case.loads
+    assert not any("no load acts" in n for n in texts(case))
