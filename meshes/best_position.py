@@ -52,6 +52,8 @@ STARTS = ((2, 0.5), (2, -0.5))
 TILT_NUMBERS = [0, 1]  # numbers of `NUMBERS` that are tilts
 MOST_TILT = 0.2  # rad: largest varus and flexion of a position
 ANGLE_DIGITS = 1  # decimals of a position's angles [deg]
+# Least gain of room that is shown [mm].
+SHOWN_GAIN = 0.005
 LENGTH_DIGITS = 1  # decimals of a position's lengths [mm]
 
 
@@ -318,11 +320,12 @@ def _search(geometry: SearchedHip, insertion: SearchedInsertion) -> tuple[list[f
             f" {fit_after.side} at {placement.point_in_words(fit_after.place)}; ream the canal, "
             "use a smaller or shorter stem, or widen insertion.best"
         )
-    gain = (
-        f"{fit_after.words(placement)},"
-        f" {fit_after.least - fit_before.least:.2f} mm more than as given"
-    )
-    return [varus, flexion, angle, medial, anterior], f"{position_text}: room {gain}"
+    gain = fit_after.least - fit_before.least
+    gain_text = "as at the given position"
+    if gain >= SHOWN_GAIN:
+        gain_text = f"{gain:.2f} mm more than at the given position"
+    room_text = f"room {fit_after.words(placement)}, {gain_text}"
+    return [varus, flexion, angle, medial, anterior], f"{position_text}: {room_text}"
 
 
 def _rounded_angle(angle: float) -> float:

@@ -344,9 +344,9 @@ def _mesh_and_step(summary: Summary) -> Verdict:
                 " smaller than ±"
             )
     if errors.unresolved:
-        message += f". Not resolved, because ± exceeds them: {', '.join(errors.unresolved)}"
+        message += f". Not resolved, because ± exceeds them: {'; '.join(errors.unresolved)}"
     if errors.zeros:
-        message += f". Not counted, because close to zero: {', '.join(errors.zeros)}"
+        message += f". Not counted, because close to zero: {'; '.join(errors.zeros)}"
     source = estimated.get("sources", BOTH)
     if source != BOTH:
         message += "; the error of the mesh is not estimated"
