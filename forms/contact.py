@@ -194,16 +194,15 @@ def contact_law(
     r"""Law of a contact point with one to three faces (eq. 65; eq. 57 with F = 0).
 
     Args:
-        F: Multiplier (3,) [MPa]. For an elastic layer in series, `ContactInterfaces.multiplier` of
-            `mechanics.contact` gives it. The penalty method is the same law, with F fixed at the
-            friction force of the last converged state, zero at first.
+        F: Multiplier (3,) [MPa], from `ContactInterfaces.multiplier` of `mechanics.contact`. An
+            elastic layer in series changes it; the penalty method is such a layer.
         jump: Displacement of the slave minus that of the master (3,) [mm].
         gap: Vector g with g . n the initial gap of each face (3,) [mm]; negative interferes.
         jump_old: Jump of the last converged state (3,) [mm].
         S_star: Stand-in for the frozen trial force (3,) [MPa].
         normals: Unit normals of the faces, from master to slave, each (3,).
         μ: Friction coefficient [-]; None leaves every tangential term out.
-        r: Augmentation, or penalty [MPa/mm].
+        r: Augmentation [MPa/mm].
     """
     f = variable(F)
     d = variable(jump)
@@ -233,8 +232,9 @@ def contact_law(
 def projected(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Scalar | None) -> Response:
     """Projection P of a trial force, with the state of the point.
 
-    Laws with layers or cohesion use this projection. Faces touch if S presses them, and also at
-    S = 0, where a point sticks. A law that is open at S = 0 would have no stiffness at rest, and
+    It is for laws of users that contain a layer (`tests/verification/test_law_from_outside.py`);
+    those of the program use `contact_law`. Faces touch if S presses them, and also at S = 0, where
+    a point sticks. A law that is open at S = 0 would have no stiffness at rest, and
     bodies that nothing else holds would move away.
 
     Args:

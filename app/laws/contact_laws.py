@@ -53,7 +53,7 @@ def _interference(key: str, value: float | str | Table, stem: StemPlaces, x: Flo
 
 
 class Unilateral(Frictional):
-    """Unilateral contact with Coulomb friction: exact, or with a penalty (`forms.contact`)."""
+    """Unilateral contact with Coulomb friction: exact, or in series with a layer or a penalty."""
 
     can_open: ClassVar[bool] = True
     has_augmentation: ClassVar[bool] = True

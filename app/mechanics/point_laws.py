@@ -1,7 +1,7 @@
 """Interface laws at the contact points of one rank: UFL in, arrays out; their trial stiffness.
 
 Points with the same number of faces and laws of the same form share one compiled law. A scene
-without friction, or without edges, never compiles these laws.
+without friction, or without edges, never compiles the laws with friction, or those of edges.
 """
 
 from __future__ import annotations

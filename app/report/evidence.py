@@ -486,12 +486,12 @@ SUBJECTS: Mapping[str, tuple[str, ...]] = {
 
 def _subjects(case: Case) -> list[str]:
     """Parts of the equations that a case uses, as in `SUBJECTS`."""
-    kinds = {law.kind for law in case.interfaces.values()}
+    laws = case.interfaces.values()
     thermal = [region.thermal for region in case.regions.values() if region.thermal]
     uses_by_subject = {
         "elasticity": True,
-        "contact": bool(kinds & {"contact", "penalty"}),
-        "cohesion": "cohesive" in kinds,
+        "contact": any(law.is_contact for law in laws),
+        "cohesion": any("damage" in law.internal_variables for law in laws),
         "heat": bool(thermal),
         "cure": any(thermal_keys.cure for thermal_keys in thermal),
         "creep": bool(_creeping(case)),

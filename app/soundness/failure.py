@@ -221,11 +221,11 @@ def explain(
         return Explanation(outcome, Verdict(_residuals(outcome), remedy=remedy))
     trial, first_trial = problem.trial(u, q), problem.trial(*solver.u_and_q(solver.first_state))
     contact = trial.contact
-    controlled = contact.laws.dissipates
-    damage = sum(
-        float(t.forces.outputs["dissipated"][controlled].sum()) for t in (trial, first_trial)
+    dissipates = contact.laws.dissipates
+    energy = sum(
+        float(t.forces.outputs["dissipated"][dissipates].sum()) for t in (trial, first_trial)
     )
-    breaks = bool(contact.laws.internal_variables and problem.comm.allreduce(damage, MPI.SUM) > 0)
+    breaks = bool(contact.laws.internal_variables and problem.comm.allreduce(energy, MPI.SUM) > 0)
     loose_texts: list[str] = []
     # A body whose cohesive interface breaks in this step is not free.
     if not breaks:
@@ -238,17 +238,17 @@ def explain(
             loose_texts = loose_texts or loose_bodies.free_bodies(
                 problem, first_trial
             )  # remedies may end in any state
-    far_text = None
+    runaway_verdict = None
     has_run_away = solver.system.runs_away(solver.blocks(solver.failed_state))
     if not loose_texts and has_run_away and outcome.residuals[-1] < BALANCED:
-        far_text = loose_bodies.runaway(problem, trial)
-    friction = [] if loose_texts or far_text else loose_bodies.sliding(problem, contact)
+        runaway_verdict = loose_bodies.runaway(problem, trial)
+    friction = [] if loose_texts or runaway_verdict else loose_bodies.sliding(problem, contact)
     friction += beyond_critical(problem)[1]
     # The first hypothesis that holds is the cause.
     if loose_texts:
         cause = Verdict(loose_texts[0], remedy=loose_bodies.HOLD, code=Reason.LOOSE_BODY)
-    elif far_text:
-        cause = Verdict(far_text.what, remedy=FAR, code=Reason.LARGE_DISPLACEMENT)
+    elif runaway_verdict:
+        cause = Verdict(runaway_verdict.what, remedy=FAR, code=Reason.LARGE_DISPLACEMENT)
     else:
         remedy = AT_REST if scales else SMALLER
         if breaks:
