@@ -225,9 +225,8 @@ def half_width(implant: Implant, z: Floats) -> Floats:
 
 def shoulder_plane_height(implant: Implant, slope: float) -> float:
     """Height at the axis of a section with a slope through the shoulder's lateral edge [mm]."""
-    if implant.cad is not None:
-        return float(implant.shoulder - slope * implant.cad["lateral"])
-    return float(implant.shoulder - slope * shaft_of(implant).section(implant.shoulder)[0])
+    (lateral,) = half_width(implant, np.array([implant.shoulder]))
+    return float(implant.shoulder - slope * lateral)
 
 
 @dataclass(frozen=True)

@@ -763,7 +763,7 @@ def test_run_of_a_case_with_a_base_can_be_repeated(tmp_path: Path) -> None:
     record = json.loads((tmp_path / "first" / "provenance.json").read_text(encoding="utf-8"))
     names = [Path(name).name for name in record["based_on_sha256"]]
     assert names == ["blocks.yaml", "library.yaml"]
-    # What a case is, not how it is written, tells what is finished.
+    # A run is finished if its resolved case is equal, however the file is written.
     assert mantle.run(mantle.load(over), tmp_path / "first").summary == first.summary
     pushed = mantle.run(
         mantle.load(tmp_path / "cylinders.yaml", mesh__size="4 mm"), tmp_path / "pushed"

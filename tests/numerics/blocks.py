@@ -1,4 +1,4 @@
-"""A block with friction."""
+"""Blocks with friction."""
 
 from __future__ import annotations
 
@@ -16,4 +16,20 @@ supports:
   wall: {kind: fixed, boundary: bottom}
   end: {kind: displacement, boundary: top, x: 0.005 mm, y: 0 mm, z: -0.01 mm}
 stages: [{name: press, adaptive: false}]
+"""
+
+# Two blocks, pressed on each other and pushed aside.
+PUSHED = """
+geometry: {kind: blocks, blocks: [{name: lower, size: [10 mm, 10 mm, 10 mm]},
+                                  {name: upper, size: [10 mm, 10 mm, 10 mm]}]}
+mesh: {size: 3 mm, order: 1}
+regions:
+  lower: {youngs_modulus: 200 MPa, poisson_ratio: 0.3}
+  upper: {youngs_modulus: 100 MPa, poisson_ratio: 0.3}
+interfaces: {lower_upper: {kind: contact, friction_coefficient: 0.2}}
+supports: {floor: {kind: fixed, boundary: bottom}}
+loads:
+  push: {kind: pressure, boundary: top, pressure: 1 MPa}
+  shear: {kind: force, boundary: top, force: [15 N, 0 N, 0 N]}
+stages: [{name: push, increments: 2}]
 """

@@ -11,6 +11,7 @@ from app.mechanics.coarse_space import sliding_motions
 from app.numerics.deflation import CoarseSpace, Deflated
 from tests import support
 from tests.mechanics.coarse_spaces import ALL, sparse
+from tests.numerics.blocks import PUSHED
 
 
 def moving(displacement: PETSc.Mat, jump: PETSc.Mat) -> CoarseSpace:
@@ -58,22 +59,6 @@ def test_deflation_is_exact_for_its_motions() -> None:
         solution.axpy(-1.0, wanted)
         # The motions are a little stiffer than they are: one without resistance does no harm.
         assert solution.norm() < 1e-5 * wanted.norm()
-
-
-PUSHED = """
-geometry: {kind: blocks, blocks: [{name: lower, size: [10 mm, 10 mm, 10 mm]},
-                                  {name: upper, size: [10 mm, 10 mm, 10 mm]}]}
-mesh: {size: 3 mm, order: 1}
-regions:
-  lower: {youngs_modulus: 200 MPa, poisson_ratio: 0.3}
-  upper: {youngs_modulus: 100 MPa, poisson_ratio: 0.3}
-interfaces: {lower_upper: {kind: contact, friction_coefficient: 0.2}}
-supports: {floor: {kind: fixed, boundary: bottom}}
-loads:
-  push: {kind: pressure, boundary: top, pressure: 1 MPa}
-  shear: {kind: force, boundary: top, force: [15 N, 0 N, 0 N]}
-stages: [{name: push, increments: 2}]
-"""
 
 
 def test_deflation_motions_are_updated_when_many_points_change(

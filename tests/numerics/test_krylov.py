@@ -18,23 +18,9 @@ from app.numerics.krylov import condition_number
 from app.numerics.remedies import solve
 from meshes.distribute import TaggedMesh
 from tests import support
-from tests.numerics.blocks import BLOCK
+from tests.numerics.blocks import BLOCK, PUSHED
 
 FACTORED_LATE = ("contact block", "stiffness")
-PUSHED = """
-geometry: {kind: blocks, blocks: [{name: lower, size: [10 mm, 10 mm, 10 mm]},
-                                  {name: upper, size: [10 mm, 10 mm, 10 mm]}]}
-mesh: {size: 3 mm, order: 1}
-regions:
-  lower: {youngs_modulus: 200 MPa, poisson_ratio: 0.3}
-  upper: {youngs_modulus: 100 MPa, poisson_ratio: 0.3}
-interfaces: {lower_upper: {kind: contact, friction_coefficient: 0.2}}
-supports: {floor: {kind: fixed, boundary: bottom}}
-loads:
-  push: {kind: pressure, boundary: top, pressure: 1 MPa}
-  shear: {kind: force, boundary: top, force: [15 N, 0 N, 0 N]}
-stages: [{name: push, increments: 2}]
-"""
 
 
 def test_krylov_remedies_factor_interfaces_then_stiffness(
