@@ -103,6 +103,10 @@ class SearchedHip(HipKeys, Protocol):
     """A hip whose stem is put where there is most room."""
 
     @property
+    def wider_canal(self) -> str:
+        """Start of the advice where a stem has no room: how to widen the canal, or empty."""
+
+    @property
     def least_room(self) -> float:
         """Room that the stem must have everywhere [mm]."""
 
@@ -317,8 +321,8 @@ def _search(geometry: SearchedHip, insertion: SearchedInsertion) -> tuple[list[f
         raise GeometryError(
             f"geometry.insertion: {NO_POSITION} {aim};"
             f" the best ({position_text}) {shortfall}"
-            f" {fit_after.side} at {placement.point_in_words(fit_after.place)}; ream the canal, "
-            "use a smaller or shorter stem, or widen insertion.best"
+            f" {fit_after.side} at {placement.point_in_words(fit_after.place)};"
+            f" {geometry.wider_canal}use a smaller or shorter stem, or widen insertion.best"
         )
     gain = fit_after.least - fit_before.least
     gain_text = "as at the given position"

@@ -23,7 +23,7 @@ from app.laws.motions import Motion
 from app.laws.supports import AnySupport
 from app.laws.values import ROUNDING
 from app.schema.section import Section, did_you_mean
-from app.schema.yaml_file import Fault, Path
+from app.schema.yaml_file import Fault, Path, path_text
 
 T = TypeVar("T")
 
@@ -134,6 +134,8 @@ def _unknown(
     advice = did_you_mean(name, known_names)
     if not advice and (owner, kind_name) == ("file", "interface"):
         advice = f"; declare it: geometry: {{interfaces: {{{name}: [REGION, REGION]}}}}"
+    if name == "stem_trunnion" and "head" in known_names:
+        advice = f"; in a femur without a stem write {path_text(path)}: head"
     return Fault(path, message + advice)
 
 

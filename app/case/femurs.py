@@ -189,8 +189,13 @@ class _Femur(Hip):
     @property
     def more_room(self) -> tuple[str, str]:
         """Key of the stem's position, and the advice if the stem does not fit."""
-        remedy = "widen the canal (canal_widening), narrow the stem or move it proximally"
-        return "geometry", f"{remedy} (tip_z)"
+        remedy = f"{self.wider_canal}narrow the stem or move it proximally (tip_z)"
+        return "geometry", remedy
+
+    @property
+    def wider_canal(self) -> str:
+        """Start of the advice where a stem has no room."""
+        return "widen the canal (canal_widening), "
 
     def surfaces(self, mesh: MeshOptions) -> LayeredSurfaces:
         """The nested surfaces that are meshed."""
@@ -263,8 +268,8 @@ class Femur(_Femur, OperatedHip):
         """Key of the stem's position, and the advice if the stem does not fit."""
         if not self.insertion:
             return super().more_room
-        text = "change insertion (insertion: best, or mantle place), widen the canal"
-        return "geometry.insertion", f"{text} (canal_widening), or use a smaller or shorter stem"
+        text = f"change insertion (insertion: best, or mantle place), {self.wider_canal}"
+        return "geometry.insertion", f"{text}or use a smaller or shorter stem"
 
     @property
     def details(self) -> dict[str, str]:

@@ -495,6 +495,11 @@ class OperatedHip(Hip):
         raise NotImplementedError
 
     @property
+    def wider_canal(self) -> str:
+        """Start of the advice where a stem has no room: how to widen the canal, or empty."""
+        raise NotImplementedError
+
+    @property
     def least_room(self) -> float:
         """Room that the stem must have everywhere (mm): for cement, or none without cement."""
         return LEAST_CEMENT if self.is_cemented else 0.0

@@ -125,12 +125,12 @@ class Implant:
         radius = sizes["corner_radius"]
         for name, size in sizes.items():
             if size <= 0.0 or (name != "corner_radius" and size <= radius):
-                message = f"at {level_name}, z = {z:g} mm, it has become {size:.3g} mm"
-                expected_size = (
-                    "positive" if size <= 0.0 else f"above the corner radius, {radius:.3g} mm,"
-                )
-                given = f"it is {getattr(self, name):.4g} mm at z = {self.section_z:.4g} mm"
+                axis, tip = self.section_z, self.tip_z
+                least = "0" if size <= 0.0 else f"the corner radius there, {radius:.3g} mm"
                 yield (
                     name,
-                    f"{message}; expected sections that stay {expected_size} there; {given}",
+                    f"is {getattr(self, name):.4g} mm at z = {axis:.4g} mm and"
+                    f" {getattr(self, f'tip_{name}'):.4g} mm at the tip, z = {tip:.4g} mm. The"
+                    f" straight line through both gives {size:.3g} mm at {level_name},"
+                    f" z = {z:g} mm; expected more than {least}",
                 )

@@ -289,8 +289,13 @@ class Patient(OperatedHip):
     @property
     def more_room(self) -> tuple[str, str]:
         """Key of the stem's position, and the remedies where the stem has no room."""
-        remedy = "ream (canal.ream: broach), use a smaller or shorter stem, or change varus and"
-        return "geometry.insertion", f"{remedy} offsets (insertion: best, or mantle place)"
+        remedy = f"{self.wider_canal}use a smaller or shorter stem, or change varus and offsets"
+        return "geometry.insertion", f"{remedy} (insertion: best, or mantle place)"
+
+    @property
+    def wider_canal(self) -> str:
+        """Start of the advice where a stem has no room; empty if the canal is broached."""
+        return "" if self.canal.ream == "broach" else "ream (canal.ream: broach), "
 
     def surfaces(self, mesh: MeshOptions) -> LayeredSurfaces:
         """The nested surfaces that are checked and meshed, kept by the content of its files."""

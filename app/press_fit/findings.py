@@ -75,15 +75,21 @@ def _stages(case: Case) -> Iterable[Fault]:
         }
         if acting:
             multipliers = [0] * insertion + [1] * (len(stages) - insertion)
+            given = [name for name, history in acting.items() if history is not None]
+            end = stages[insertion - 1]
             example = f"`history: {multipliers}`"
-            if section == "loads":
+            if section == "loads" and not given:
                 example = f"`loads: {{history: {multipliers}}}`"
             message = (
                 f"micromotion counts from the end of the insertion, but {act} during it:"
                 f" {', '.join(acting)}. Expected `history` with one number for each stage, 0 up to"
-                f" the end of '{stages[insertion - 1]}', e.g. {example}"
+                f" the end of '{end}', e.g. {example}"
             )
-            given = [name for name, history in acting.items() if history is not None]
+            if given:
+                message += (
+                    f"; if '{end}' is no part of the insertion, put `{{name: insertion}}` before"
+                    " all stages, and 0 before the numbers of each `history`"
+                )
             yield Fault((section, given[0], "history") if given else (section,), message)
 
 

@@ -75,6 +75,7 @@ def write(case: Case, source: Path, path: Path) -> Path:
     scripts = [viewer.THREE / name for name in viewer.SCRIPTS]
     if not all(script.exists() for script in scripts):
         raise InputError("mantle place: three.js is missing; install the package libjs-three")
+    _refuse_other_file(path)
     module_folder = Path(__file__).parent
     head, numbers = packed(geometry, case.title or source.stem, source)
     script_texts = [script.read_text("utf-8") for script in scripts]
@@ -90,18 +91,25 @@ def write(case: Case, source: Path, path: Path) -> Path:
     )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        if path.is_file() and not _is_page(path):
-            raise InputError(f"-o {path}: exists and is not a page; choose another name")
         write_bytes(path, html.encode())
     except OSError as error:
         raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error
     return path
 
 
-def _is_page(path: Path) -> bool:
-    """Return True for a page, as an earlier call writes it."""
-    with path.open("rb") as file:
-        return file.read(len(DOCTYPE)).lower() == DOCTYPE
+def _refuse_other_file(path: Path) -> None:
+    """Refuse to replace a file that no earlier call wrote.
+
+    Raises:
+        InputError: The file exists and is no page, or it cannot be read.
+    """
+    try:
+        if path.is_file():
+            with path.open("rb") as file:
+                if file.read(len(DOCTYPE)).lower() != DOCTYPE:
+                    raise InputError(f"-o {path}: exists and is not a page; choose another name")
+    except OSError as error:
+        raise InputError(f"-o {path}: cannot be replaced: {error.strerror}") from error
 
 
 def packed(geometry: OperatedHip, title: str, source: Path) -> tuple[dict[str, object], bytes]:

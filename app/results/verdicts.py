@@ -237,7 +237,7 @@ def _contact(interfaces: Mapping[str, Numbers]) -> Verdict:
     rims = [f"{gap(q['rim'])} um ({name})" for name, q in interfaces.items() if "rim" in q]
     rim = ""
     if rims:
-        rim = f". Rim and tip are excluded; the rim opens by {', '.join(rims)}"
+        rim = f". These numbers exclude rim and tip; the rim opens by {', '.join(rims)}"
     layer_text = "".join(
         f"; the elastic layer of {name} is compressed by up to {length('compression_max', depth)}"
         for name, depth in layers.items()

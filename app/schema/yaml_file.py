@@ -191,17 +191,17 @@ class CaseFile:
             if place[0] != self.name:
                 changes += self._changes_of_base(path)
             if changes and path in self.places:
-                question = f"; does {', '.join(changes)} go with it?"
+                question = f"; does it fit {', '.join(changes)}?"
                 verdict = replace(verdict, what=printable(fault.text + question))
             elif overrides:
-                # No file gives the value, but an option gave another one that does not go with it.
+                # No file gives the value, but an option gave another one that does not fit.
                 place = overrides[-1]
             elif place[0] != self.name:
                 text = fault.text
                 if fault.path == path and len(path) == 2 and text.startswith(NOT_IN_GEOMETRY):
                     text += f"; remove it by `{path[0]}: {{{path[1]}: null}}`"
                 causes = self._causes(text)
-                question = f"; does {', '.join(causes)} go with it?" if causes else ""
+                question = f"; does it fit {', '.join(causes)}?" if causes else ""
                 verdict = replace(verdict, what=printable(text + question))
         of_key = f": {key}" if key and key != place else ""
         if isinstance(place, str):
@@ -241,7 +241,7 @@ class CaseFile:
     def _causes(self, text: str) -> list[str]:
         """Keys of the file, with their places, that may cause a fault of its base.
 
-        They are those that the text of the fault names, else all, if they are few.
+        They are those that the text of the fault names, else all if they are few, else none.
         """
         own = [key for key, place in self.places.items() if place[0] == self.name]
         sections_above = {key[:-1] for key in own}
@@ -259,7 +259,7 @@ class CaseFile:
             paths = [path[:-1] if counts[path[:-1]] > 1 else path for path in paths]
         changed_paths = list(dict.fromkeys(named_paths or paths))
         if len(changed_paths) > MOST_CAUSES:
-            return [self.name]
+            return []
         causes = list[str]()
         for path in changed_paths:
             place = self.places[path]

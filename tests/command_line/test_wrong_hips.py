@@ -252,7 +252,7 @@ def test_wrong_hips_are_refused(
         ),
         (
             "geometry.stem.length=40 mm",
-            r":2:\d+: geometry\.stem\.half_width: .*; does --set geometry\.stem\.length go with it",
+            r":2:\d+: geometry\.stem\.half_width: .*; does it fit --set geometry\.stem\.length\?",
         ),
     ],
 )
@@ -274,6 +274,6 @@ def test_wrong_hips_value_of_a_base_names_the_changes_of_the_file(
     case.write_text("base: pressed\ntitle: Short\ngeometry: {stem: {length: 40 mm}}\n")
     assert main(["check", str(case)]) == 2
     place = rf"geometry\.stem\.length \({re.escape(str(case))}:3:19\)"
-    words = rf"pressed\.yaml:\d+:5: geometry\.stem\.half_width: .*; does {place} go with it\?$"
+    words = rf"pressed\.yaml:\d+:5: geometry\.stem\.half_width: .*; does it fit {place}\?$"
     printed = capsys.readouterr().err.strip()
     assert re.search(words, printed), printed

@@ -120,7 +120,7 @@ def test_verdicts_on_rim_and_tip() -> None:
     numbers = summary()
     numbers["interfaces"]["stem_cement"]["rim"] = {"gap_max": 0.074, "slip_max": 5.0}
     lines = judged(numbers)
-    words = ". Rim and tip are excluded; the rim opens by 74.0 um (stem_cement)"
+    words = ". These numbers exclude rim and tip; the rim opens by 74.0 um (stem_cement)"
     assert lines["contact"][0].endswith(words)
     assert lines["slip"][0].startswith("larger than a facet on stem_cement")
 
