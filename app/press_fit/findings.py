@@ -191,8 +191,8 @@ def _ingrowth(summary: Summary) -> Iterable[Verdict]:
             continue
         motion = "micromotion"
         motion_text = (
-            "The motion includes the permanent part: it is that since the insertion. `cycles` with"
-            " a `history` of the loads separate both."
+            "This motion began at the end of the insertion, so it has a permanent part. Give the"
+            " last stage `cycles` and the loads a `history` to see the inducible part alone."
         )
         zones = {f"zone {zone}": part for zone, part in q.get("zones", {}).items()}
         of_stages = {

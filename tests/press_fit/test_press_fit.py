@@ -379,7 +379,7 @@ def test_press_fit_findings_say_areas_and_strains() -> None:
     q = {"area": 200.0, "area_micromotion_over_40um": 50.0, "area_micromotion_over_150um": 2.0}
     (verdict,) = _ingrowth({"interfaces": {"stem_bone": q, "other": {"area": 1.0}}})
     assert verdict.what.startswith("75 % of stem_bone moves less than 40 µm, 1 % more than 150 µm")
-    assert "The motion includes the permanent part" in verdict.what
+    assert "so it has a permanent part. Give the last stage" in verdict.what
     assert "beyond" not in verdict.what
     q |= {"area_inducible_over_40um": 20.0, "area_inducible_over_150um": 0.0}
     (verdict,) = _ingrowth({"interfaces": {"stem_bone": q}})
@@ -396,7 +396,7 @@ def test_press_fit_ingrowth_states_the_area_that_does_not_touch_bone() -> None:
         "coated": moving | {"open_fraction": 0.008, "gap_p99": 0.0006},
     }
     (verdict,) = _ingrowth({"interfaces": {"stem_bone": q}})
-    of_stem, of_reamed, of_coated, *_ = verdict.what.replace(". The motion", "; The").split("; ")
+    of_stem, of_reamed, of_coated, *_ = verdict.what.replace(". This motion", "; This").split("; ")
     assert of_stem == (
         "89 % of stem_bone moves less than 40 µm, 0 % more than 150 µm, and 39 % does not touch the"
         " bone (gap 171 µm, p99)"
