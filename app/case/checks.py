@@ -391,7 +391,7 @@ def _held(case: CaseParts) -> Iterable[Fault]:
             along_axes = "" if len(free_axes) == 3 else f" along {' and '.join(free_axes)}"
             message = f"no support holds the model{along_axes}{when}"
             remedy = "add a support: fixed, roller, displacement or foundation"
-            yield Fault(("supports",), message, remedy=remedy, code=Reason.LOOSE_BODY)
+            yield Fault(("supports",), message, remedy=remedy, code=Reason.FLOATING_BODY)
 
 
 @check()

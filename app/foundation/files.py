@@ -47,7 +47,7 @@ def parts(path: Path) -> list[Path]:
     return sorted(filter(Path.is_file, path.iterdir())) if path.is_dir() else [path]
 
 
-def explain(error: BaseException) -> InputError | None:
+def error_of_refused_path(error: BaseException) -> InputError | None:
     """Error that explains why the system refuses a path; None for any other error."""
     if not isinstance(error, OSError) or error.errno not in REFUSED or error.filename is None:
         return None

@@ -38,8 +38,8 @@ from app.mechanics.contact_state import (
     ContactState,
     LocalPoints,
     prescribed_jump,
-    refuse_loose_regions,
     refuse_supports,
+    refuse_supports_of_free_regions,
     with_rigid_regions,
 )
 from app.mechanics.finite_sliding import PAIRING_ACCURACY, FiniteSliding
@@ -236,7 +236,7 @@ class ContactInterfaces:
         if scene.rigid:
             constraints_of_stages = stiffness.constraints_of_stages()
             holds = with_rigid_regions(body_forms, constraints_of_stages, self.facets, holds, axes)
-            refuse_loose_regions(scene, bodies, holds, self.facets, axes)
+            refuse_supports_of_free_regions(scene, bodies, holds, self.facets, axes)
         self.points, entries = contact_points(
             self.facets, holds, [c.name for c in scene.contacts], axes
         )
@@ -417,7 +417,7 @@ class ContactInterfaces:
         Returns:
             True if interfaces are constrained.
         """
-        # Filled below: the law has it already, as `ContactMotions.floating_bodies` reads it.
+        # Filled below. The laws have it already: `ContactMotions` reads it there.
         constrained = np.zeros(len(self.local), dtype=bool)
         self.laws.constrained = constrained
         gap = self._clearance.copy()
@@ -435,7 +435,7 @@ class ContactInterfaces:
                 continue
             if has_touching:
                 if floating is None:
-                    floating = self.motions.floating_bodies(is_touching)
+                    floating = self.motions.numbers_of_floating_bodies(is_touching)
                 bodies = {int(b) for b in np.unique(self.points.bodies[self.points.interface == i])}
                 if bodies.isdisjoint(floating):
                     continue

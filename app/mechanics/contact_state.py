@@ -220,7 +220,7 @@ def with_rigid_regions(
     return VertexConstraints(*(column[first_rows] for column in columns))
 
 
-def refuse_loose_regions(
+def refuse_supports_of_free_regions(
     scene: Scene,
     bodies: Bodies,
     holds: VertexConstraints,

@@ -33,7 +33,7 @@ from app.results.surface_parts import Surface, in_parts
 from app.scene.scene import Scene, Stage, build_scene
 from app.simulation.steppers import steppers
 from app.simulation.thermal_model import ThermalModel
-from app.soundness import cost, loose_bodies, memory, well_posedness
+from app.soundness import cost, floating_bodies_of_state, memory, well_posedness
 from app.stepping.coarse_start import CoarseModelStart
 from app.stepping.heat_state import HeatStep
 from app.stepping.heat_steps import OnHeat
@@ -383,12 +383,12 @@ class Model:
             merge(numbers, record.numbers())
         return numbers
 
-    def floating_bodies(self) -> list[Verdict]:
+    def warnings_of_floating_bodies(self) -> list[Verdict]:
         """Warnings on bodies that nothing holds in the last state; collective."""
         path = self.mechanics
         if path is None or path.problem.contact is None:
             return []
-        return loose_bodies.floating_bodies(
+        return floating_bodies_of_state.warnings_of_floating_bodies(
             path.problem, path.problem.trial(*path.solver.u_and_q())
         )
 

@@ -334,7 +334,11 @@ class _CaseRun:
         with setup.timing.phase("output"):
             self._recorder.flush()
             summary = self._recorder.summary("converged", total)
-        notes = [*self._notes, *result_notes.of_results(case, summary), *model.floating_bodies()]
+        notes = [
+            *self._notes,
+            *result_notes.of_results(case, summary),
+            *model.warnings_of_floating_bodies(),
+        ]
         verdicts.record(summary, notes)
         if verdicts.reasons_not_to_use(summary):
             summary["status"] = UNUSABLE

@@ -91,7 +91,7 @@ def _group_limits() -> Iterator[Path]:
                     yield GROUPS / "memory" / part / "memory.limit_in_bytes"
 
 
-def explain(error: BaseException) -> EnvironmentProblem | None:
+def error_without_memory(error: BaseException) -> EnvironmentProblem | None:
     """Return an error that explains a lack of memory; None for any other error."""
     chain: list[BaseException] = []
     link: BaseException | None = error

@@ -25,14 +25,14 @@ from app.laws.values import ROUNDING
 from app.scene.scene import build_scene
 from app.soundness import paths_on_mesh
 from app.soundness.bodies_on_mesh import (
-    bodies_of,
     directions,
-    floating_bodies,
+    errors_of_floating_bodies,
     gaps_of,
     holds,
     law_between,
     load_history_of,
-    loosely_held_bodies,
+    notes_on_loosely_held_bodies,
+    pieces_of_bodies,
 )
 from app.soundness.result_notes import STRAIN, modulus
 from app.system.layout import point_text
@@ -140,7 +140,7 @@ def _contradictory_supports(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
 
     Two bodies that can part may have different displacements where they touch.
     """
-    for pieces in bodies_of(case, parts):
+    for pieces in pieces_of_bodies(case, parts):
         yield from _contradictory_supports_of(case, parts, pieces)
 
 
@@ -382,7 +382,7 @@ def _dependent_jumps(case: Case, parts: MeshPieces) -> list[Verdict]:
     """A note on vertices with more interfaces than independent jumps: some jumps follow."""
     interfaces_that_part = [name for name, law in case.interfaces.items() if law.can_part]
     regions_of_bodies = {
-        frozenset(parts.pieces[p].region for p in g) for g in bodies_of(case, parts)
+        frozenset(parts.pieces[p].region for p in g) for g in pieces_of_bodies(case, parts)
     }
     is_on_interface = np.array(
         [np.isin(np.arange(len(parts.x)), parts.on_interface(n)) for n in interfaces_that_part]
@@ -583,12 +583,12 @@ MECHANICS_CHECKS: tuple[tuple[Check, ...], ...] = (
     (
         _rotations_not_given,
         _motions_with_supports_or_loads,
-        floating_bodies,
+        errors_of_floating_bodies,
         _contradictory_supports,
         _large_gaps,
     ),
     (
-        loosely_held_bodies,
+        notes_on_loosely_held_bodies,
         _clamped_interfaces,
         _dependent_jumps,
         _large_displacements,

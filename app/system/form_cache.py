@@ -117,7 +117,7 @@ def _remove(folder: Path, name: str) -> None:
             (folder / (name + suffix)).unlink(missing_ok=True)
 
 
-def explain(error: BaseException) -> EnvironmentProblem | None:
+def error_of_compilation(error: BaseException) -> EnvironmentProblem | None:
     """Error that explains a failed compilation or load of a form; None for any other."""
     frames = traceback.extract_tb(error.__traceback__)
     if not any(frame.filename.endswith(SOURCES) for frame in frames):

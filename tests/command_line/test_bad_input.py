@@ -233,12 +233,12 @@ def test_bad_input_path_that_the_system_refuses(
 
 def test_bad_input_explains_only_paths_of_the_user() -> None:
     locked = PermissionError(errno.EACCES, "Permission denied", "locked/case.yaml")
-    error = files.explain(locked)
+    error = files.error_of_refused_path(locked)
     assert error is not None and error.exit_code == 2
     assert str(error) == "locked/case.yaml: cannot be opened: permission denied; give another path"
-    assert files.explain(FileNotFoundError(errno.ENOENT, "No such file", "a")) is None
-    assert files.explain(OSError(errno.EACCES, "Permission denied")) is None
-    assert files.explain(ValueError("a")) is None
+    assert files.error_of_refused_path(FileNotFoundError(errno.ENOENT, "No such file", "a")) is None
+    assert files.error_of_refused_path(OSError(errno.EACCES, "Permission denied")) is None
+    assert files.error_of_refused_path(ValueError("a")) is None
 
 
 def test_bad_input_run_folder(path: Path, capsys: pytest.CaptureFixture[str]) -> None:

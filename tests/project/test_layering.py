@@ -224,7 +224,9 @@ def test_layering_solver_does_not_import_the_case(path: Path) -> None:
         "app.results.level_sets",
         "app.results.over_time",
         "app.results.thermal_record",
+        "app.soundness.critical_friction",
         "app.soundness.failure",
+        "app.soundness.floating_bodies_of_state",
     ):
         seen = {m for m in imported(path) if package_of(m) in ("schema", "case")}
         # Types of published numbers.

@@ -38,7 +38,7 @@ def test_fault_machine_limits_do_not_use_the_wall_clock() -> None:
 def test_fault_machine_memory_errors_are_named() -> None:
     full = OSError(12, "Cannot allocate memory")
     for error in (MemoryError(), full, Exception("std::bad_alloc")):
-        explained = memory.explain(error)
+        explained = memory.error_without_memory(error)
         assert isinstance(explained, EnvironmentProblem) and "not enough memory" in str(explained)
     try:
         try:
@@ -46,10 +46,10 @@ def test_fault_machine_memory_errors_are_named() -> None:
         except MemoryError as error:
             raise ValueError("else") from error
     except ValueError as error:
-        assert "the factors of 10 unknowns" in str(memory.explain(error))
+        assert "the factors of 10 unknowns" in str(memory.error_without_memory(error))
     circular = ValueError("x")
     circular.__cause__ = circular
-    assert memory.explain(circular) is None
+    assert memory.error_without_memory(circular) is None
 
 
 def test_fault_machine_too_little_memory_for_any_case(tmp_path: Path) -> None:

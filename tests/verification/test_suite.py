@@ -96,9 +96,9 @@ def test_suite_outcomes(
     """A problem has this answer, and its runs end in this way."""
     expects = 'problem.expects("a number", tolerance=1e-6, source="known")'
     if answer == "no answer":
-        expects = 'problem.expects_refusal("a number", Reason.LOOSE_BODY)'
+        expects = 'problem.expects_refusal("a number", Reason.FLOATING_BODY)'
     elif answer == "may refuse":
-        expects = expects.replace('known")', 'known", or_refusal=Reason.LOOSE_BODY)')
+        expects = expects.replace('known")', 'known", or_refusal=Reason.FLOATING_BODY)')
     if answer in ("no answer", "may refuse"):
         answer = "compare(Comparison(0.0))"
     runs = [("mesh.size=4 mm",), ("mesh.size=5 mm",)][: len(ends)]
