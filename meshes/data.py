@@ -200,7 +200,7 @@ def connected(n: int, a: Ints, b: Ints) -> Ints:
     return np.asarray((np.cumsum(label == node) - 1)[label])
 
 
-def components(neighbours: Ints, labels: npt.NDArray[np.int32]) -> Ints:
+def connected_components(neighbours: Ints, labels: npt.NDArray[np.int32]) -> Ints:
     """Connected component of each cell, joined by faces between cells of equal label (m,).
 
     ``neighbours`` are the cells behind the faces (m, 4), as in `MeshData`.
@@ -299,7 +299,7 @@ def interface_facets(data: MeshData, name: str) -> tuple[Ints, Ints, Ints]:
     )
 
 
-def boundary_facets(data: MeshData, name: str) -> Ints:
+def nodes_of_boundary_facets(data: MeshData, name: str) -> Ints:
     """Nodes of the facets of a boundary, if there are any (k, 3 or 6)."""
     return data.facets[np.isin(data.facet_tags, data.boundaries.get(name, ()))]
 
@@ -307,7 +307,11 @@ def boundary_facets(data: MeshData, name: str) -> Ints:
 def interface_nodes(data: MeshData, name: str, faces: Mapping[str, tuple[str, str]]) -> Ints:
     """Corner nodes of an interface (n,); of its second boundary in ``faces`` if meshed apart."""
     boundaries = faces.get(name)
-    facets = boundary_facets(data, boundaries[1]) if boundaries else interface_facets(data, name)[0]
+    facets = (
+        nodes_of_boundary_facets(data, boundaries[1])
+        if boundaries
+        else interface_facets(data, name)[0]
+    )
     return np.unique(facets[:, :3])
 
 
@@ -348,7 +352,7 @@ def number(names: Iterable[str]) -> dict[str, int]:
     return {name: tag for tag, name in enumerate(names, start=1)}
 
 
-def assemble(
+def mesh_data_of(
     points: Floats,
     cells: Ints,
     cell_tags: Tags,

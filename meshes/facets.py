@@ -11,7 +11,7 @@ from meshes.data import tangents
 NODES = np.concatenate([np.eye(3), (1 - np.eye(3)) / 2])
 
 
-def surface(x: Floats, barycentric: Floats) -> tuple[Floats, Floats]:
+def normals_and_areas(x: Floats, barycentric: Floats) -> tuple[Floats, Floats]:
     """Unit normals (f, q, 3) and area elements (f, q) of facets at barycentric points (q, 3)."""
     if x.shape[1] == 6:
         a, b = tangents(x, barycentric, ((1, 2), (2, 0), (0, 1)))
@@ -28,7 +28,7 @@ def nodal_normals(x: Floats, inside: Floats, barycentric: Floats) -> Floats:
 
     ``x`` are the nodes of the facets (f, 3 or 6, 3), ``inside`` points in their cells (f, 3) [mm].
     """
-    normals, size = surface(x, barycentric)
+    normals, size = normals_and_areas(x, barycentric)
     flat_normals = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     outward = np.sign(np.einsum("fi,fi->f", flat_normals, x[:, 0] - inside))
     return normals * (outward * size.mean(axis=1) / 2)[:, None, None]
@@ -45,7 +45,7 @@ def shape_functions(barycentric: Floats, nodes: int) -> Floats:
     return np.concatenate([barycentric * (2 * barycentric - 1), middles], axis=1)
 
 
-def bends(start: Floats, end: Floats, middle: Floats) -> Floats:
+def bends_of_edges(start: Floats, end: Floats, middle: Floats) -> Floats:
     r"""Factors by which the ends of curved edges move their middles, in addition to the mean.
 
     The middle is off the chord by the vector σ. Linear displacements change along σ too. With t the

@@ -35,7 +35,7 @@ class Places:
     inside: Floats
 
 
-def place(points: Floats, cells: Ints, x: Floats) -> Places:
+def cells_of_points(points: Floats, cells: Ints, x: Floats) -> Places:
     """Find the cells that hold points.
 
     A point on a face of two cells belongs to the first of them.
@@ -111,7 +111,7 @@ def shape_functions(shares: Floats) -> tuple[Floats, Floats]:
     return values, np.concatenate([corners, middles], axis=1)
 
 
-def positions(points: Floats, cells: Ints, shares: Floats) -> Floats:
+def positions_in_cells(points: Floats, cells: Ints, shares: Floats) -> Floats:
     """Positions (n, 3) [mm] at barycentric coordinates (n, 4) of cells (n, 4 or 10)."""
     weights = shares if cells.shape[1] == 4 else shape_functions(shares)[0]
     return np.asarray(np.einsum("na,nai->ni", weights, points[cells]))

@@ -61,7 +61,7 @@ def _corners_and_centres(divisions: int) -> Floats:
     return np.array(samples) / n
 
 
-def distance(points: Floats, surface: Floats) -> Floats:
+def distance_from_triangles(points: Floats, surface: Floats) -> Floats:
     """Distance of points (n, 3) from the triangles (m, 3, 3) nearest to them [mm]."""
     triangle, weights = nearest(points, surface)
     return np.linalg.norm(np.einsum("nk,nki->ni", weights, surface[triangle]) - points, axis=1)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Protocol, TypeVar
 
 from app.case.probes import StrainGauge
-from app.case.quantities import ADDED, PARTS, of_run
+from app.case.quantities import ADDED, PARTS, names_of_run_numbers
 from app.case.run_options import STAGE_KINDS, OutputOptions, Stage, TimeOptions
 from app.case.shapes import COMPANION, MOST_LINES, MeshOptions, Shape
 from app.foundation.verdict import Reason
@@ -509,7 +509,7 @@ def quantities(case: CaseParts, names: Mapping[Path, str]) -> Iterable[Fault]:
     known_owners = (*geometry.interface_sides, *geometry.region_names, *added_owners)
     for path, quantity in names.items():
         name = quantity.partition(".")[0]
-        if name not in known_owners and quantity not in of_run():
+        if name not in known_owners and quantity not in names_of_run_numbers():
             yield _unknown(path, "interface or region", name, known_owners, geometry.kind)
 
 

@@ -67,7 +67,7 @@ def write(
         name = "femur_cementless" if cementless else kind
         case_text = (FOLDER / f"{name}.yaml").read_text(encoding="utf-8")
         case_text = case_text.replace(STEMS["titanium"], STEMS[stem or "titanium"])
-    save(path, case_text)
+    save_case_text(path, case_text)
     return path
 
 
@@ -76,7 +76,7 @@ def yaml(path: Path) -> Path:
     return path if path.suffix in (".yaml", ".yml") else path.with_name(f"{path.name}.yaml")
 
 
-def save(path: Path, text: str) -> None:
+def save_case_text(path: Path, text: str) -> None:
     """Write a new file of a case.
 
     Raises:

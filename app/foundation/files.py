@@ -42,7 +42,7 @@ def write_bytes(path: Path, content: bytes, mode: int = 0o666) -> None:
             os.close(folder)
 
 
-def parts(path: Path) -> list[Path]:
+def files_at(path: Path) -> list[Path]:
     """A file, or those in a folder, by name."""
     return sorted(filter(Path.is_file, path.iterdir())) if path.is_dir() else [path]
 

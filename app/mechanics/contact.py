@@ -30,7 +30,7 @@ from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import InputError
 from app.interfaces.contact_points import contact_points
 from app.interfaces.corners import BY_RIGID_REGION
-from app.interfaces.interface_facets import gather
+from app.interfaces.interface_facets import gathered_arrays
 from app.laws.values import amplitude, gap_at, gap_settled
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact_motions import ContactMotions
@@ -500,7 +500,7 @@ class ContactInterfaces:
 
     def gather(self, values: Floats) -> Floats:
         """Gather values (n, ...) of local points to the values of all points; collective."""
-        return np.asarray(gather(self.comm, values)[0][self._number_of_point])
+        return np.asarray(gathered_arrays(self.comm, values)[0][self._number_of_point])
 
     @property
     def row_keys(self) -> Ints:

@@ -20,7 +20,7 @@ from app.mechanics.problem import Problem
 from app.numerics.choice import SolverChoice
 from app.numerics.deflation import CoarseSpace
 from app.numerics.preconditioners import SWEEP, Options, stiffness_options
-from app.numerics.sparse import block_diagonal, fill, renew
+from app.numerics.sparse import block_diagonal, fill_blocks, renew
 from app.numerics.system import Measure, System, block_norm
 
 if TYPE_CHECKING:
@@ -197,8 +197,8 @@ class ContactSystem(BondedSystem):
             springs = SPRING_STIFFNESS * contact.coupling.D.getDiagonal().array_r.reshape(-1, 3)
             added_blocks = added_blocks + springs[:, :, None] * np.eye(3)
         self.factors = factors, added_blocks
-        fill(self.equilibrium_factors, factors)
-        fill(self._added_blocks, added_blocks)
+        fill_blocks(self.equilibrium_factors, factors)
+        fill_blocks(self._added_blocks, added_blocks)
         for product, A in ((self._A_qu, contact.coupling.Ct), (self._A_qq, contact.coupling.D)):
             if self._problem.stiffness.constraints.follows:
                 # On several ranks a product keeps the pattern of its former factors.
@@ -238,9 +238,9 @@ class ContactSystem(BondedSystem):
         choice = SolverChoice(problem.scene.order, *sizes, *expected_solves)
         condensed: Condensed | None = None
         if choice.condenses(linear):
-            from app.numerics.condensed import Condensed, available  # scipy: few need it
+            from app.numerics.condensed import Condensed, has_factor_library  # scipy: few need it
 
-            if available(comm):
+            if has_factor_library(comm):
                 condensed = Condensed(self)
                 choice = replace(choice, entries=condensed.entries)
                 if not choice.fits:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from app.case.case import Case, load
+from app.case.case import Case, load_case
 from app.foundation.arrays import Floats
 from app.foundation.errors import ConvergenceError, InputError
 from app.mechanics.body_forms import BodyForms
@@ -50,7 +50,7 @@ def intact_case(law: Remodelling, operated: Case, regions: tuple[str, ...]) -> C
         InputError: It cannot be read, or lacks a region or a load case.
     """
     assert law.intact is not None
-    case = load(law.intact).config
+    case = load_case(law.intact).config
     existing_names = {"region": [*case.regions], "stage": [stage.name for stage in case.stages]}
     for kind, needed_names in (("region", regions), ("stage", law.load_cases)):
         missing = [name for name in needed_names if name not in existing_names[kind]]

@@ -63,7 +63,7 @@ def headlines(cases: Sequence[SweptCase]) -> list[str]:
     return known_names
 
 
-def title(key: str) -> str:
+def key_in_words(key: str) -> str:
     """Return a key in words: ``friction coefficient, cement-bone``.
 
     This is the key ``interfaces.cement_bone.friction_coefficient``.
@@ -107,7 +107,7 @@ def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
                 ]
             elif len(level_texts) < 2:
                 continue
-            heading = f"{title(key)} ({unit})" if is_numeric and unit else title(key)
+            heading = f"{key_in_words(key)} ({unit})" if is_numeric and unit else key_in_words(key)
             varied.append(f"{heading}: {', '.join(level_texts)}")
         if varied:
             of_part = f"{part}: " if part else ""
@@ -117,8 +117,8 @@ def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
 
 def cases_table(cases: Sequence[SweptCase], names: Sequence[str], folder: Path) -> list[Block]:
     """Return cases with their outcome, their first numbers, and links to pages below a folder."""
-    names, keys = names[:MOST_NUMBERS], varied(cases)
-    head = ["case", "status", "changes", *map(quantities.titled, names)]
+    names, keys = names[:MOST_NUMBERS], varied_keys(cases)
+    head = ["case", "status", "changes", *map(quantities.label_with_unit, names)]
     head += ["unknowns", "ranks", "time", "message"]
     rows: list[list[Cell]] = []
     for c in cases:
@@ -131,7 +131,7 @@ def cases_table(cases: Sequence[SweptCase], names: Sequence[str], folder: Path) 
             [
                 Link(c.name, _link(c.folder / "report.html", folder)),
                 status,
-                [f"{key} = {layout.plain(level)}" for key, level in changed_levels.items()],
+                [f"{key} = {layout.plain_text(level)}" for key, level in changed_levels.items()],
                 *(cell(c, name) for name in names),
                 f"{c.unknowns or '-'}",
                 f"{c.ranks}",
@@ -167,23 +167,23 @@ def multiples(cases: Sequence[SweptCase], folder: Path | None) -> tuple[list[Blo
     converged = [c for c in cases if c.done]
     blocks: list[Block] = []
     files: list[Path] = []
-    keys = varied(converged)
+    keys = varied_keys(converged)
     if THICKNESS in keys and any(_mantle(c).get("clipped_fraction") for c in converged):
         keys = [ACHIEVED, *keys]
     for key in keys:
         groups_of_cases = _groups(converged, key)
-        key_title, unit_of_x = title(key), levels(converged, key)[0]
+        key_title, unit_of_x = key_in_words(key), levels(converged, key)[0]
         x = f"{key_title} ({unit_of_x})" if unit_of_x else key_title
         panels = []
         drawn_cases = list(
             chain.from_iterable(by_level.values() for _, by_level in groups_of_cases)
         )
         for name in headlines(drawn_cases):
-            number_title, unit = quantities.in_words(name)
+            number_title, unit = quantities.label_and_unit(name)
             lines = []
             for k, (common, by_level) in enumerate(groups_of_cases[:MOST_SERIES]):
                 numbers = {level: c.number(name) for level, c in by_level.items()}
-                lines.append(line_of(common, k, numbers))
+                lines.append(curve_of_numbers(common, k, numbers))
             if any(_varies(line.y) for line in lines):
                 panels.append(Panel(page.spelled_out(number_title), unit or "value", lines, x))
         panels = panels[:MOST_PANELS]
@@ -201,7 +201,7 @@ def multiples(cases: Sequence[SweptCase], folder: Path | None) -> tuple[list[Blo
     return blocks, files
 
 
-def line_of(label: str, style: int, numbers: Mapping[float, Number | None]) -> Line:
+def curve_of_numbers(label: str, style: int, numbers: Mapping[float, Number | None]) -> Line:
     """Return a curve of the numbers that are known, with their errors."""
     known_numbers = {x: n for x, n in numbers.items() if n is not None}
     errors = [n.error or 0.0 for n in known_numbers.values()]
@@ -210,7 +210,7 @@ def line_of(label: str, style: int, numbers: Mapping[float, Number | None]) -> L
     )
 
 
-def varied(cases: Sequence[SweptCase]) -> list[str]:
+def varied_keys(cases: Sequence[SweptCase]) -> list[str]:
     """Keys whose values differ within a part of a sweep; all changed keys of a single case."""
     keys = dict.fromkeys(chain.from_iterable(c.overrides for c in cases))
     if len(cases) == 1:
@@ -265,13 +265,13 @@ def _groups(cases: Sequence[SweptCase], key: str) -> list[tuple[str, dict[float,
     Each group has a text on the keys that its cases have in common, and its cases by level.
     """
     groups: dict[str, dict[float, SweptCase]] = {}
-    other_keys = set(varied(cases)) - {key}
+    other_keys = set(varied_keys(cases)) - {key}
     if key == ACHIEVED:
         other_keys = {k for k in other_keys if not k.startswith("geometry.")}
     for c, x in zip(cases, levels(cases, key)[1], strict=True):
         if x is not None:
             other_changes = [
-                f"{title(k)} {value(v)}" for k, v in c.overrides.items() if k in other_keys
+                f"{key_in_words(k)} {value(v)}" for k, v in c.overrides.items() if k in other_keys
             ]
             common = ": ".join(filter(None, (c.part, ", ".join(other_changes))))
             groups.setdefault(common, {})[x] = c
@@ -305,9 +305,9 @@ def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[tuple[str, 
             if (q and q.exact) or not _varies(y):
                 continue
             ranks = {k: correlation(y, x) for k, x in varied.items() if len(y) == len(part_cases)}
-            known_ranks = [(r, title(key)) for key, r in ranks.items() if r is not None]
+            known_ranks = [(r, key_in_words(key)) for key, r in ranks.items() if r is not None]
             known_ranks.sort(key=lambda pair: -abs(pair[0]))
             if known_ranks:
-                number_title = ": ".join(filter(None, (part, quantities.in_words(name)[0])))
+                number_title = ": ".join(filter(None, (part, quantities.label_and_unit(name)[0])))
                 rows.append((number_title, [f"{r:+.2f} {k}" for r, k in known_ranks]))
     return ["number", "rank correlation with"], rows

@@ -66,7 +66,7 @@ def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
             bullets(_summary(sweep)),
             facts=_facts(sweep),
             lead=_dependence(sweep.cases),
-            large=lead.spread(sweep.cases, sweep_figures.headlines(sweep.cases)),
+            large=lead.ranges_over_runs(sweep.cases, sweep_figures.headlines(sweep.cases)),
             view=viewer({name: case.folder for name, case in chosen_cases[:2]}),
         )
         write_text(folder / PAGE, html)
@@ -82,7 +82,9 @@ def _uncertain(sweep: SweepResults) -> list[Block]:
     blocks: list[Block] = []
     for part, samples in sweep.uncertainty.items():
         samples_title = f"{samples['samples']} samples{f' ({part})' if part else ''}"
-        blocks += page.titled(samples_title, table(uncertainty.HEAD, uncertainty.rows(samples)))
+        blocks += page.titled(
+            samples_title, table(uncertainty.HEAD, uncertainty.rows_of_spread(samples))
+        )
         indices = table(uncertainty.INDEX_HEAD, uncertainty.index_rows(samples))
         blocks += page.titled("Sobol' indices: shares of the variance", indices)
     return blocks

@@ -17,7 +17,7 @@ from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import InputError
 from app.interfaces.corners import VertexConstraints
 from app.interfaces.faces import projectors
-from app.interfaces.interface_facets import InterfaceFacets, gather
+from app.interfaces.interface_facets import InterfaceFacets, gathered_arrays
 from app.laws.supports import Support
 from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_nodes
 from app.scene.scene import Scene
@@ -102,7 +102,7 @@ def vertex_constraints(
         vertex_columns.append(corners[is_at_interface])
         body_columns.append(np.repeat(bodies.body_of_tag[tags[f.cells]], 3)[is_at_interface])
         support_columns.append(np.full(np.count_nonzero(is_at_interface), index))
-    vertex, body, support_index = gather(
+    vertex, body, support_index = gathered_arrays(
         tagged.mesh.comm,
         np.concatenate(vertex_columns),
         np.concatenate(body_columns),
@@ -148,13 +148,13 @@ def frames_of(
         nodes_of_supports.append(nodes)
         if support.normal:
             dofs_with_axes.append(nodes.dof)
-    node = np.unique(gather(comm, np.concatenate(dofs_with_axes))[0])
+    node = np.unique(gathered_arrays(comm, np.concatenate(dofs_with_axes))[0])
     acts = np.zeros((len(node), len(bodies.names), len(supports)), dtype=bool)
     positions = np.zeros((len(node), 3))
     support_projectors = np.zeros((len(node), len(supports), 3, 3))
     for index, (support, nodes) in enumerate(zip(supports, nodes_of_supports, strict=True)):
         has_axes = np.isin(nodes.dof, node)
-        dof, body, x, normals = gather(
+        dof, body, x, normals = gathered_arrays(
             comm,
             nodes.dof[has_axes],
             nodes.body[has_axes],

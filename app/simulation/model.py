@@ -227,7 +227,7 @@ class Model:
             petsc={**options.petsc, **self.options},
             augmentation_factor=options.augmentation_factor,
             solves=self._runs * cost.contact_solves(case),
-            memory=memory.available(),
+            memory=memory.available_memory(),
             stop=self.stop,
         )
         place = self.scene, self.tagged, settings, self._timing

@@ -160,7 +160,7 @@ class Recorder:
         if not _has_valleys(stage):  # inducible motion is that of the last cycle of the run
             self.valley = {}
         columns = closing_lines.HEAT if stage.takes_time else closing_lines.STEP
-        self._header = closing_lines.line(columns, columns)
+        self._header = closing_lines.aligned_line(columns, columns)
 
     def record_step(self, step: LoadStep, trial: TrialState | None) -> None:
         """Record a step of the mechanics; collective."""

@@ -22,7 +22,7 @@ from app.foundation.verdict import Reason, Verdict, note
 from app.laws.interface_laws import InterfaceLaw
 from app.laws.supports import AnySupport
 from app.laws.values import gap_at
-from app.numerics.rigid_motions import add_relative, describe, rigid_modes
+from app.numerics.rigid_motions import add_relative, motions_in_words, rigid_modes
 from app.soundness.floating_bodies_of_state import FREE
 from app.system.layout import point_text
 from meshes.data import connected
@@ -287,7 +287,7 @@ class BodiesOnMesh:
         moments = np.array([sum(p.volume * p.centre for p in group) for group in pieces])
         volumes = np.array([sum(p.volume for p in group) for group in pieces])
         body_names = [self._name(group) for group in pieces]
-        return describe(
+        return motions_in_words(
             free_motions, body_names, moments / volumes[:, None], self._origin, self._size, verb
         )
 

@@ -22,7 +22,7 @@ from app.interfaces.smooth_normals import LIKELY_MULTIPLE
 from app.numerics.rigid_motions import (
     DIRECTIONS,
     add_relative,
-    describe,
+    motions_in_words,
     motions_outside,
     relative_resistance,
 )
@@ -108,7 +108,9 @@ def texts_of_floating_bodies(problem: Problem, trial: TrialState, moved: bool = 
         free_vectors = motions_outside(free_vectors, unresisted)
     at_body = [(contact.points.bodies == b).any(axis=1) for b in range(len(body_names))]
     centres = np.array([x[mask].mean(axis=0) if mask.any() else centre for mask in at_body])
-    return describe(free_vectors, [f"'{name}'" for name in body_names], centres, centre, size)
+    return motions_in_words(
+        free_vectors, [f"'{name}'" for name in body_names], centres, centre, size
+    )
 
 
 def texts_of_pushed_bodies(problem: Problem, trial: TrialState) -> list[str]:
@@ -167,7 +169,7 @@ def _pulls(problem: Problem, motion: Floats, pressures: Floats) -> list[str]:
     if motion @ _on_bodies(problem) <= resisted + rounding:
         return []
     centres = np.tile(contact.motions.frame[0], (len(body_names), 1))
-    motion_texts = describe(
+    motion_texts = motions_in_words(
         motion[:, None], [f"'{name}'" for name in body_names], centres, *contact.motions.frame
     )
     return [f"{motion_text}, and the loads act in this direction" for motion_text in motion_texts]
@@ -281,7 +283,7 @@ def warnings_of_floating_bodies(problem: Problem, trial: TrialState) -> list[Ver
         np.where(is_unpressed, OPEN, trial.forces.status)
     )
     centres = np.tile(contact.motions.frame[0], (len(body_names), 1))
-    motion_texts = describe(
+    motion_texts = motions_in_words(
         motions, [f"'{name}'" for name in body_names], centres, *contact.motions.frame
     )
     place = "in the last state. Its position within the gaps is arbitrary"

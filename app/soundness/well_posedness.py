@@ -34,10 +34,10 @@ from app.soundness.bodies_on_mesh import (
     notes_on_loosely_held_bodies,
     pieces_of_bodies,
 )
-from app.soundness.result_notes import STRAIN, modulus
+from app.soundness.result_notes import STRAIN, smallest_modulus
 from app.system.layout import point_text
 from meshes import location
-from meshes.data import boundary_areas, boundary_facets, interface_facets
+from meshes.data import boundary_areas, interface_facets, nodes_of_boundary_facets
 from meshes.gauge_points import GaugeFault, gauge_points
 from meshes.pieces import MeshPieces, pieces_of_mesh, touching_without_shared_nodes
 
@@ -291,13 +291,13 @@ def _misplaced_probes(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
         cells = data.cells
         if probe.region:
             cells = cells[data.cell_tags == data.regions[probe.region]]
-        if location.place(data.points, cells, np.array([probe.at])).cell[0] < 0:
+        if location.cells_of_points(data.points, cells, np.array([probe.at])).cell[0] < 0:
             yield Verdict(outside_text(name, (probe.at, probe.region)))
 
 
 def _misplaced_gauge(data: MeshData, key: str, gauge: StrainGauge) -> list[Verdict]:
     """Error on a strain gauge that does not fit its surface."""
-    x = data.points[boundary_facets(data, gauge.boundary)]
+    x = data.points[nodes_of_boundary_facets(data, gauge.boundary)]
     if not len(x):
         return [Verdict("has no facet on this mesh", f"{key}.boundary", "choose another one")]
     try:
@@ -476,7 +476,7 @@ def _large_strains(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
         boundary = next(iter(load.boundaries), "")
         area = areas.get(boundary, 0.0)
         loaded_regions = {parts.pieces[p].region for p in parts.boundaries.get(boundary, {})}
-        moduli = [modulus(case.regions[region]) for region in loaded_regions]
+        moduli = [smallest_modulus(case.regions[region]) for region in loaded_regions]
         softest = min((m for m in moduli if m), default=0.0)
         if not area or not softest:
             continue
@@ -552,7 +552,7 @@ def _too_stiff_in_bending(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     worst_of_region: dict[str, tuple[float, float, float]] = {}
     for p in parts.pieces:
         slender = p.thickness < SLENDER_PIECE * float(p.box.max())
-        if slender and p.free > FREE_SURFACE_SHARE and modulus(case.regions[p.region]):
+        if slender and p.free > FREE_SURFACE_SHARE and smallest_modulus(case.regions[p.region]):
             excess = EXCESS_OF_LINEAR_CELLS * (p.edge / p.thickness) ** 2
             candidate = (excess, p.thickness, p.edge)
             worst_of_region[p.region] = max(worst_of_region.get(p.region, candidate), candidate)

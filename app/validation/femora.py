@@ -18,7 +18,7 @@ GAUGE = 3.0
 MICRO = 1e6
 
 
-def strain(run: Results, gauge: str) -> float:
+def strain_of_gauge(run: Results, gauge: str) -> float:
     """Strain of a gauge by the force alone: zeroed after the insertion of the stem [um/m]."""
     record = run.step_record
     column = record[f"{gauge} strain [-]"]
@@ -89,14 +89,14 @@ COMPOSITE_STRAIN = Experiment(
         "medial": _of(
             "strain along the shaft for 2000 N, medial, 40 mm below mid lesser trochanter, intact",
             "um/m",
-            lambda run: strain(run, "medial_40"),
+            lambda run: strain_of_gauge(run, "medial_40"),
             "intact",
             SHAPE,
         ),
         "lateral": _of(
             "the same, lateral",
             "um/m",
-            lambda run: strain(run, "lateral_40"),
+            lambda run: strain_of_gauge(run, "lateral_40"),
             "intact",
             SHAPE,
         ),
@@ -104,7 +104,7 @@ COMPOSITE_STRAIN = Experiment(
             f"{side}_share": _ratio(
                 f"strain along the shaft with the stem over that of the intact femur, {side}, 5 to "
                 "20 mm below mid lesser trochanter",
-                lambda run, side=side: strain(run, f"{side}_10"),  # type: ignore[misc]
+                lambda run, side=side: strain_of_gauge(run, f"{side}_10"),  # type: ignore[misc]
                 "stem",
                 "intact",
                 SHIELDED,
@@ -114,7 +114,7 @@ COMPOSITE_STRAIN = Experiment(
         "distal_share": _ratio(
             "strain along the shaft with the stem over that of the intact femur, medial, 80 mm "
             "below mid lesser trochanter",
-            lambda run: strain(run, "medial_80"),
+            lambda run: strain_of_gauge(run, "medial_80"),
             "stem",
             "intact",
             SHIELDED,
@@ -169,7 +169,7 @@ COMPOSITE_BOND = Experiment(
             f"bone_{level}": _ratio(
                 "strain along the shaft of the medial bone, debonded over bonded, "
                 f"{level} mm below mid lesser trochanter",
-                lambda run, level=level: strain(run, f"medial_{level}"),  # type: ignore[misc]
+                lambda run, level=level: strain_of_gauge(run, f"medial_{level}"),  # type: ignore[misc]
                 "debonded",
                 "bonded",
                 BOND,

@@ -160,6 +160,27 @@ def test_layering_class_names_are_unique() -> None:
     assert {name: modules for name, modules in places.items() if len(modules) > 1} == {}
 
 
+# Actions of a module on its own subject: `stl.read`, `blocks.build`. Callers name the module.
+ACTIONS = {"build", "check", "draw", "read", "run", "write"}
+
+
+def test_layering_public_functions_have_unique_names() -> None:
+    """A search for the name of a function ends at one definition.
+
+    Files of known problems are test modules of pytest, and import no functions of each other.
+    """
+    places = defaultdict(list)
+    for path in sources(*LAYERS):
+        if path.parent.name == "problems":
+            continue
+        for node in tree(path).body:
+            if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
+                places[node.name].append(named(path))
+    twice = {name: paths for name, paths in places.items() if len(paths) > 1}
+    assert {name: paths for name, paths in twice.items() if name not in ACTIONS} == {}
+    assert ACTIONS <= twice.keys()
+
+
 def test_layering_packages_are_installed_with_a_docstring() -> None:
     """The docstring is short; pyproject.toml lists the package."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.case.case import load
+from app.case.case import load_case
 from app.foundation.errors import StoppedError
 from app.results.reading import Run
 from app.simulation import accuracy
@@ -204,11 +204,11 @@ def test_session_restart_after_interrupted_companions(
     out.mkdir()
     monkeypatch.setattr(accuracy, "add_errors", interrupted)
     with pytest.raises(StoppedError, match="in its companions"):
-        run(load(case, options), out)
+        run(load_case(case, options), out)
     assert saved(out) and not (out / "DONE").exists()
     stop.clear()
     monkeypatch.setattr(accuracy, "add_errors", errors)
-    run(load(case, options), out, restart="auto")
+    run(load_case(case, options), out, restart="auto")
     restarted.assert_same(tmp_path / "whole", out)
     assert restarted.numbers(out)[".error.companions.0"]
 
@@ -235,7 +235,7 @@ def test_session_restart_appends_fields_to_their_file(tmp_path: Path) -> None:
         assert list(part.times) == list(whole.times[-left:])
         assert np.allclose(part.displacement(), before[-1], rtol=1e-6, atol=1e-9)
     # Whatever was written after the checkpoint is written again.
-    run(load(case), tmp_path / "whole", restart=str(files[2]))
+    run(load_case(case), tmp_path / "whole", restart=str(files[2]))
     again = Run(tmp_path / "whole")
     assert list(again.times) == list(whole.times)
     for k, u in enumerate(before):

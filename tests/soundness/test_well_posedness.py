@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import meshes
-from app.case.case import Case, load
+from app.case.case import Case, load_case
 from app.cli import main
 from app.foundation.errors import GeometryError, InputError
 from app.simulation.model import Model
@@ -88,7 +88,7 @@ SHIPPED = sorted(
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_well_posedness_shipped_cases_have_only_expected_notes(name: str) -> None:
-    case = load(CONFIGS / f"{name}.yaml").config
+    case = load_case(CONFIGS / f"{name}.yaml").config
     # Meshes of these are made where they are run, in tests/command_line/test_run.py.
     large = case.geometry.kind in ("femur", "intact_femur") or name == "bench/stem"
     notes = [v.text for v in preview.input_notes(case)]

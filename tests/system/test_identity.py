@@ -17,13 +17,13 @@ from tests import support
 
 
 def test_identity_versions_are_those_of_libraries() -> None:
-    versions = identity.parts()
+    versions = identity.versions()
     assert list(versions) == ["mantle", "dolfinx", "petsc", "gmsh", "blas"]
     assert versions["mantle"].startswith(f"{__version__} ")
     assert versions["dolfinx"] == dolfinx.__version__
     assert versions["petsc"] == ".".join(map(str, PETSc.Sys.getVersion()))
     assert versions["gmsh"].startswith(gmsh.__version__)
-    assert json.loads(identity.text()) == versions
+    assert json.loads(identity.text_of_versions()) == versions
 
 
 def parts_in_process(**environ: str) -> dict[str, str]:

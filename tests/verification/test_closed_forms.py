@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from app.schema.expressions import evaluate
+from app.schema.expressions import values_at_points
 from app.verification import closed_forms as exact
 from tests.verification.differences import STEP, slope
 
@@ -83,7 +83,7 @@ def support(case: str, name: str) -> Field:
 
     def u(x: np.ndarray) -> np.ndarray:
         return np.column_stack(
-            [evaluate(entry[axis], x) if axis in entry else 0 * x[:, 0] for axis in "xyz"]
+            [values_at_points(entry[axis], x) if axis in entry else 0 * x[:, 0] for axis in "xyz"]
         )
 
     return u
