@@ -224,6 +224,11 @@ class Hip(Shape):
             """Position of the stem; None: along the shaft's axis."""
 
     @property
+    def medial_cut_height(self) -> float | None:
+        """The key `resection.height`."""
+        return self.resection.height
+
+    @property
     def femur(self) -> LayeredBone:
         """The bone before the operation, as `meshes.placement` describes it."""
         raise NotImplementedError

@@ -89,12 +89,13 @@ def save_case_text(path: Path, text: str) -> None:
         raise InputError(
             f"{path}: exists already and was not changed; choose another name"
         ) from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        reason = (
-            "the folder is read-only" if getattr(error, "errno", 0) in (EROFS, EACCES) else reason
-        )
+    except OSError as error:
+        reason = error.strerror or error
+        if error.errno in (EROFS, EACCES):
+            reason = "the folder is read-only"
         raise InputError(f"{path}: cannot be written: {reason}") from error
+    except ValueError as error:  # a name with a null character
+        raise InputError(f"{path}: cannot be written: {error}") from error
 
 
 def add_from_labels(proposal: FromLabels) -> None:

@@ -230,6 +230,11 @@ class Shape(Extensible):
         return 0.0
 
     @property
+    def medial_cut_height(self) -> float | None:
+        """Height at which the neck cut leaves the medial cortex (mm); None without a cut."""
+        return None
+
+    @property
     def stem_length(self) -> float:
         """Height of a stem's shoulder over its tip (mm); 0 without a stem."""
         return 0.0

@@ -21,10 +21,11 @@ from matplotlib.colors import to_rgb
 
 from app.case.case import Case
 from app.foundation.arrays import Floats, Ints
+from app.laws.heat_conditions import HeatCondition
+from app.laws.supports import AnySupport
 from app.plots import figures, sections
 from app.plots.figures import COLOURS, PNG, handles
 from app.plots.sections import AXES
-from app.schema.section import Section
 from app.soundness import preview
 from app.system.layout import plain_text
 from meshes.data import (
@@ -220,7 +221,7 @@ def _bodies(view: View, data: MeshData, name: str, facets: Ints, cells: Ints) ->
 def _lines(view: View, case: Case, data: MeshData) -> None:
     """Draw sections of interfaces, supports and heat conditions."""
     for (name, law), colour in zip(case.interfaces.items(), INTERFACE_COLOURS, strict=False):
-        friction = getattr(law, "friction_coefficient", None)
+        friction = law.friction_outside_zones
         law_text = f"{law.kind}, friction {plain_text(friction)}" if friction else law.kind
         for zone_name, zone in law.surface_zones.items():
             if zone.friction_coefficient is not None:
@@ -232,13 +233,13 @@ def _lines(view: View, case: Case, data: MeshData) -> None:
         label = f"{name.replace('_', '-')}: {law_text}"
         style = "-" if law.can_part else "--"
         view.lines(np.concatenate(triangles_of_interface), colour, label, style=style)
-    conditions: list[tuple[str, str, str, Section]] = []
+    conditions: list[tuple[str, str, str, AnySupport | HeatCondition]] = []
     conditions += [
         ("support", SUPPORT, name, condition) for name, condition in case.supports.items()
     ]
     conditions += [("heat", HEAT, name, condition) for name, condition in case.heat.items()]
     for kind_label, colour, name, condition in conditions:
-        facets = _boundary(data, getattr(condition, "boundary", ""))
+        facets = _boundary(data, condition.boundary or "")
         middles = view.lines(facets, colour, kind_label, width=4.0, alpha=0.8)
         keys = condition.model_dump(mode="json", exclude_none=True)
         held_values = [f"{k} {plain_text(keys[k])}" for k in ("axis", "x", "y", "z") if k in keys]
