@@ -23,7 +23,7 @@ from app.report import (
 )
 from app.report.compared_numbers import ComparedNumber
 from app.report.page import Block, LargeNumber, PageSection, bullets, table
-from app.report.sweep_results import Json, SweptCase
+from app.report.sweep_results import Json, SweptCase, headlines
 from app.results.verdicts import notes_of
 from app.system.folders import write_text
 from app.system.layout import noted, plain_text, several
@@ -97,7 +97,7 @@ def _page(folders: Sequence[Path]) -> str:
         bullets(status) + page.folded(f"{noted_text} on the input", bullets(notes)),
         facts=" · ".join(names),
         lead=_lead(names[0], numbers),
-        large=_largest(names, numbers, sweep_figures.headlines(cases)),
+        large=_largest(names, numbers, headlines(cases)),
         view=view,
         note=note if view and not all_differences else "",
     )

@@ -12,7 +12,7 @@ from app.campaigns import uncertainty
 from app.case.quantities import TABLE, Quantity, label_with_unit, numbers_of
 from app.case.summary import Numbers
 from app.foundation.errors import InputError
-from app.report.sweep_figures import key_in_words
+from app.report.sweep_keys import key_in_words
 from app.report.sweep_results import SweptCase, read
 from app.system.layout import plain_text
 

@@ -35,8 +35,7 @@ from app.plots.figures import HEAT, LOADED, SEQUENTIAL, SIGNED
 from app.plots.sections import VIEWS, draw_surface
 from app.report import lead
 from app.report.page import Figure
-from app.report.sweep_figures import headlines
-from app.report.sweep_results import WORDS, SweepResults, SweptCase, named
+from app.report.sweep_results import WORDS, SweepResults, SweptCase, headlines, named
 from app.report.viewer import (
     INTERFACE,
     cells_of,

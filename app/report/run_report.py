@@ -38,11 +38,12 @@ from app.report import (
     pictures,
     step_curves,
     sweep_figures,
+    sweep_tables,
     viewer,
 )
 from app.report.input_spread import HEAD, InputSpread, input_spread_of_run
 from app.report.page import Block, Figure, PageSection, Verbatim, bullets, table
-from app.report.sweep_results import CONVERGED, Json, SweptCase, named
+from app.report.sweep_results import CONVERGED, Json, SweptCase, headlines, named
 from app.results import closing_lines as text
 from app.results import cycles
 from app.results.reading import Run
@@ -528,16 +529,16 @@ def _variations(folder: Path, share: float, comm: MPI.Comm) -> list[Path]:
             notes=tuple(row.get("notes", ())),
         )
         cases.append(case)
-    all_names = sweep_figures.headlines(cases)
+    all_names = headlines(cases)
     quantity_by_name = {name: quantities.quantity_of(name) for name in all_names}
     names = [name for name, q in quantity_by_name.items() if not (q and q.exact)]
     drawings = folder / PICTURES
     is_unlimited = share == math.inf
     if is_unlimited:
         drawings.mkdir(exist_ok=True)
-    curve_blocks, files = sweep_figures.multiples(cases, drawings if is_unlimited else None)
+    curve_blocks, files = sweep_figures.draw_over_keys(cases, drawings if is_unlimited else None)
     sections = [
-        PageSection("cases", "All variations", sweep_figures.cases_table(cases, names, folder)),
+        PageSection("cases", "All variations", sweep_tables.cases_table(cases, names, folder)),
         PageSection("curves", "Curves over the varied keys", curve_blocks),
         PageSection("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in cases))),
     ]

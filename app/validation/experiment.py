@@ -63,6 +63,13 @@ class PredictedQuantity:
         return cls(text, unit, lambda runs: measure(runs[run]), failure)
 
     @classmethod
+    def difference(
+        cls, text: str, unit: str, measure: Measure, first: str, second: str, failure: str
+    ) -> Self:
+        """Quantity of one run minus that of another."""
+        return cls(text, unit, lambda runs: measure(runs[first]) - measure(runs[second]), failure)
+
+    @classmethod
     def ratio(cls, text: str, measure: Measure, over: str, under: str, failure: str) -> Self:
         """Quantity of one run over that of another."""
         return cls(text, "-", lambda runs: measure(runs[over]) / measure(runs[under]), failure)
