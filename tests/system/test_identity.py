@@ -29,7 +29,7 @@ def test_identity_versions_are_those_of_libraries() -> None:
 def parts_in_process(**environ: str) -> dict[str, str]:
     """The parts in a separate process, which does not load MPI for Python."""
     code = (
-        "import json, sys; from app.system import identity; print(json.dumps(identity.parts()));"
+        "import json, sys; from app.system import identity; print(json.dumps(identity.versions()));"
         "assert not {'mpi4py.MPI', 'petsc4py.PETSc', 'dolfinx'} & sys.modules.keys()"
     )
     return dict(json.loads(support.python("-c", code, **environ).stdout))
