@@ -40,14 +40,14 @@ class PathPoints:
         arc: Distance along the path from its first point (n,) [mm].
         x: Positions (n, 3) [mm].
         cell: Row of the cell in `MeshData`, -1 for a point outside (n,).
-        share: Barycentric coordinates in the reference cell (n, 4).
+        barycentric: Barycentric coordinates in the reference cell (n, 4).
         region: Tag of the region of the cell, 0 outside (n,).
     """
 
     arc: Floats
     x: Floats
     cell: Ints
-    share: Floats
+    barycentric: Floats
     region: Ints
 
     @property
@@ -113,7 +113,7 @@ def _inside(data: MeshData, region: str, arc: Floats, x: Floats) -> PathPoints:
     is_inside = places.cell >= 0
     cell = np.where(is_inside, allowed[places.cell], -1)
     tags = np.where(is_inside, data.cell_tags[cell], 0).astype(np.int64)
-    return PathPoints(arc, x, cell, places.share, tags)
+    return PathPoints(arc, x, cell, places.barycentric, tags)
 
 
 # Surfaces
@@ -225,7 +225,9 @@ class _Curve:
     end: Floats
     closed: bool
 
-    def shares(self, data: MeshData, segment: Ints, facet_coordinates: Floats) -> Floats:
+    def barycentric_in_cells(
+        self, data: MeshData, segment: Ints, facet_coordinates: Floats
+    ) -> Floats:
         """Coordinates (n, 4) in the cells of segments (n,) from those in their facets (n, 3)."""
         corners = data.cells[self.cells[segment], :4]
         is_same_node = corners[:, :, None] == self.facets[segment, None, :3]
@@ -234,7 +236,9 @@ class _Curve:
     def places(self, data: MeshData, segment: Ints, facet_coordinates: Floats) -> Floats:
         """Positions (n, 3) [mm] of points in facets."""
         cells = data.cells[self.cells[segment]]
-        return positions_in_cells(data.points, cells, self.shares(data, segment, facet_coordinates))
+        return positions_in_cells(
+            data.points, cells, self.barycentric_in_cells(data, segment, facet_coordinates)
+        )
 
     def ends(self, data: MeshData) -> Floats:
         """Positions of the starts of all segments and of the last end (s + 1, 3) [mm]."""
@@ -277,7 +281,7 @@ class _Curve:
             arc,
             self.places(data, segment, facet_coordinates),
             cell,
-            self.shares(data, segment, facet_coordinates),
+            self.barycentric_in_cells(data, segment, facet_coordinates),
             data.cell_tags[cell].astype(np.int64),
         )
 

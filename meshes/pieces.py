@@ -23,7 +23,7 @@ from meshes.data import (
     interface_nodes,
     same_triangles,
 )
-from meshes.facets import NODES, nodal_normals, normals_and_areas, shape_functions
+from meshes.facets import NODES, facet_shape_functions, nodal_normals, normals_and_areas
 
 # Nodes this close, as a fraction of the mesh's diagonal, are meant to be one.
 COINCIDENT = 1e-7
@@ -218,7 +218,7 @@ def _pieces(
 
 def _touches(points: Floats, facets: Ints, first_piece: Ints, second_piece: Ints) -> list[Touch]:
     middle, x = np.full((1, 3), 1 / 3), points[facets[:, OPPOSITE[: facets.shape[1]]]]
-    centres = (shape_functions(middle, facets.shape[1]) @ x)[:, 0]
+    centres = (facet_shape_functions(middle, facets.shape[1]) @ x)[:, 0]
     normals, double_areas = (values[:, 0] for values in normals_and_areas(x, middle))
     touches = []
     for a, b in sorted({(int(a), int(b)) for a, b in zip(first_piece, second_piece, strict=True)}):

@@ -198,7 +198,7 @@ def _locate(tagged: TaggedMesh, name: str, probe: ProbePoint) -> tuple[int, str,
         return None
     region_of_tag = {tag: name_of_region for name_of_region, tag in tagged.regions.items()}
     cell = int(cells[located.cell[0]])
-    return cell, region_of_tag[int(tags[cell])], located.share[0]
+    return cell, region_of_tag[int(tags[cell])], located.barycentric[0]
 
 
 def outside_text(name: str, probe: ProbePoint) -> str:

@@ -43,7 +43,7 @@ from app.scene.scene import Scene
 from app.system.timing import Timing
 from forms import elasticity
 from meshes.distribute import TaggedMesh
-from meshes.facets import normals_and_areas, shape_functions
+from meshes.facets import facet_shape_functions, normals_and_areas
 
 # Cells, or facets as pairs of a cell and a local number, by number of the subdomain.
 Domains = list[tuple[int, NDArray[np.int32]]]
@@ -387,7 +387,7 @@ class BodyForms:
         points, weights = (np.asarray(a) for a in rule)
         L = linear_shape_functions(points)
         _, size = normals_and_areas(x, L)
-        positions = np.einsum("qn,fni->fqi", shape_functions(L, x.shape[1]), x)
+        positions = np.einsum("qn,fni->fqi", facet_shape_functions(L, x.shape[1]), x)
 
         def integral(values: Floats) -> Floats:
             local = np.einsum("q,fq,fq...->...", weights, size, values)

@@ -32,7 +32,7 @@ from app.results.cycles import OF_CYCLES
 from app.results.damage import BROKEN, zone
 from app.results.surface_parts import Surface
 from forms.contact import OPEN, SLIP, STICK
-from meshes.facets import normals_and_areas, shape_functions
+from meshes.facets import facet_shape_functions, normals_and_areas
 
 Parts = Sequence[Surface]
 # Micromotion threshold for bone ingrowth [mm].
@@ -480,7 +480,9 @@ def gaps(
     x = facets.nodes[rows]
     normals, area = normals_and_areas(x, LATTICE)
     inwards = np.sign(np.einsum("fi,fi->f", normals[:, -1], facets.normal[rows, 0]))
-    motion_at_points = np.einsum("qn,fni->fqi", shape_functions(LATTICE, motion.shape[1]), motion)
+    motion_at_points = np.einsum(
+        "qn,fni->fqi", facet_shape_functions(LATTICE, motion.shape[1]), motion
+    )
     normal_motion = np.einsum("fqi,fqi->fq", motion_at_points, normals) * inwards[:, None]
     return normal_motion + clearance @ LATTICE.T, area
 

@@ -23,7 +23,7 @@ from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_nodes
 from app.scene.scene import Scene
 from app.system.layout import point_text
 from meshes.distribute import TaggedMesh
-from meshes.facets import NODES, nodal_normals, shape_functions
+from meshes.facets import NODES, facet_shape_functions, nodal_normals
 
 # Directions within about a milliradian are equal: squares of sines below this are zero.
 SAME_DIRECTION = 1e-6
@@ -212,7 +212,7 @@ def _boundary_nodes(
     nodes = NODES if order > 1 else NODES[:3]
     _, dofs, x, cell_centres = facet_nodes(tagged, space, f)
     body = np.broadcast_to(bodies.body_of_tag[tags[f.cells]][:, None], dofs.shape)
-    positions = np.einsum("qn,fni->fqi", shape_functions(nodes, x.shape[1]), x)
+    positions = np.einsum("qn,fni->fqi", facet_shape_functions(nodes, x.shape[1]), x)
     normals = nodal_normals(x, cell_centres, nodes)
     return _BoundaryNodes(
         dofs.ravel(), body.ravel(), positions.reshape(-1, 3), normals.reshape(-1, 3)
