@@ -361,7 +361,10 @@ class ContactInterfaces:
         self.gap = gap_vectors(local.normals, gap)
 
     def update_pairs(self, trial: TrialState) -> bool:
-        """Pair points with finite sliding anew if their gaps are wrong in a state; collective."""
+        """Pair points if errors of gaps change pressures by more than `PAIRING_ACCURACY`.
+
+        Collective. Returns True if points were paired.
+        """
         if self.finite_sliding is None:
             return False
         rows = self.finite_sliding.rows

@@ -33,7 +33,8 @@ from app.mechanics.followers import Followers
 from app.numerics.rigid_motions import rotation_vector
 from app.scene.scene import Scene
 
-# Points are paired anew if the pressure may be wrong by this fraction of the largest.
+# Points are paired with their closest facets if errors of gaps may change a pressure by more than
+# this fraction of the largest.
 PAIRING_ACCURACY = 1e-3
 
 

@@ -312,7 +312,7 @@ class Problem:
         return trial
 
     def update_pairs(self, u: PETSc.Vec, q: PETSc.Vec | None) -> bool:
-        """Pair surfaces with finite sliding anew if their gaps are wrong in a state; collective."""
+        """As `SlidingBodies.update_pairs`; False without finite sliding; collective."""
         if q is None or self.sliding is None:
             return False
         trial = self.trial(u, q)

@@ -74,12 +74,14 @@ def interpolate_stimulus(stimulus: Floats, forms: BodyForms, target_forms: BodyF
         vertices = forms.vertices(region)
         corners, corner_values = (forms.mesh.comm.allgather(v[vertices]) for v in (x, values))
         columns.append(
-            interpolated(np.concatenate(corners), np.concatenate(corner_values), target_points)
+            values_in_nearest_cells(
+                np.concatenate(corners), np.concatenate(corner_values), target_points
+            )
         )
     return np.column_stack(columns)
 
 
-def interpolated(corners: Floats, values: Floats, x: Floats) -> Floats:
+def values_in_nearest_cells(corners: Floats, values: Floats, x: Floats) -> Floats:
     """Values at points (n, 3), linear in cells of vertices (m, 4, 3) with values (m, 4).
 
     A point outside all cells has a value on the surface of the nearest cell: its negative

@@ -9,7 +9,7 @@ import pytest
 
 from app.case.case import load_case
 from app.foundation.errors import InputError
-from app.remodelling.intact_femur import interpolated
+from app.remodelling.intact_femur import values_in_nearest_cells
 from app.remodelling.laws import remodelling_of
 from app.results.reading import Run
 from app.scene.scene import build_scene
@@ -154,8 +154,8 @@ def test_remodelling_interpolates_from_another_mesh() -> None:
     corners = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]], dtype=float)
     values = corners @ [1.0, 2.0, 3.0] + 4
     x = rng.dirichlet([1, 1, 1, 1], 20)[:, 1:]
-    assert interpolated(corners, values, x) == pytest.approx(x @ [1.0, 2.0, 3.0] + 4)
-    assert interpolated(corners, values, np.array([[2.0, 0, 0]])) == pytest.approx([5.0])
+    assert values_in_nearest_cells(corners, values, x) == pytest.approx(x @ [1.0, 2.0, 3.0] + 4)
+    assert values_in_nearest_cells(corners, values, np.array([[2.0, 0, 0]])) == pytest.approx([5.0])
 
 
 def test_remodelling_notes_a_missing_lazy_zone() -> None:

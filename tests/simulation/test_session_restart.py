@@ -17,7 +17,7 @@ from app.simulation import model as models
 from app.simulation.session import run
 from app.system.folders import saved
 from tests import support
-from tests.cases import coupled, nested_stem, restarted, worn_ball
+from tests.cases import coarse_start_stem, coupled, restarted, worn_ball
 from tests.cases.blocks import REMODELLED, TORN
 from tests.cases.shipped import COARSE
 from tests.cases.stems import CREEPING, SETTING
@@ -143,11 +143,11 @@ def test_session_restart_from_every_checkpoint(tmp_path: Path, name: str) -> Non
 def test_session_restart_with_nested_starts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name, value in nested_stem.ALWAYS.items():
+    for name, value in coarse_start_stem.ALWAYS.items():
         monkeypatch.setattr(models, name, value)
-    options = (FIELDS, *nested_stem.TURNS)
-    case, files = restarted.whole(nested_stem.STEM, tmp_path, *options)
-    # Before the turn, which is where a cheaper model is asked.
+    options = (FIELDS, *coarse_start_stem.TURNS)
+    case, files = restarted.whole(coarse_start_stem.STEM, tmp_path, *options)
+    # Before the turn, which is where a coarse model is asked.
     part = restarted.on(case, tmp_path, files[0], *options)
     # Loads of 900 N are balanced to 1e-7 N.
     restarted.assert_same(tmp_path / "whole", part, nothing=1e-7)
