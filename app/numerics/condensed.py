@@ -131,7 +131,7 @@ class Condensed:
     @property
     def entries(self) -> float:
         """Entries of all factors of the bodies."""
-        return self._bodies.entries
+        return self._bodies.factor_entries
 
     # Factors
 
