@@ -43,7 +43,7 @@ from meshes.data import MeshData
 from meshes.distribute import TaggedMesh, distribute
 
 # Tests compile into the cache that runs of other tests use at the same time.
-form_cache.guard()
+form_cache.patch_ffcx()
 
 TIMEOUT = 300.0  # of a program on ranks [s]
 ROOT = Path(__file__).resolve().parents[1]

@@ -110,7 +110,7 @@ def run(
     lifetime.begin_run(comm)
     signalled = stopping.signals() if signals else _never
     if signals:  # not in a host's process, whose handlers and options stay as they are
-        form_cache.guard()
+        form_cache.patch_ffcx()
     time_limit = _never if walltime is None else stopping.WallTime(begin, walltime)
     setup = Setup(
         comm,

@@ -461,7 +461,7 @@ def solve_here(name: str, folder: Path) -> Runner:
     # Not at the top: the process of `mantle verify` starts ranks and must not initialize MPI.
     from app.simulation import finished_runs, session
 
-    form_cache.guard()  # other tests compile at the same time
+    form_cache.patch_ffcx()  # other tests compile at the same time
 
     def solved(problem_run: ProblemRun, folder: Path) -> SolvedRun:
         message = ""
