@@ -176,7 +176,7 @@ class Load(Extensible, Named):
         """Multiplier at a time (stage k runs from k to k + 1) [-]."""
         return self._followed(time) if self._followed else amplitude(self.history, time)
 
-    def follow(self, amplitude_at: Callable[[float], float]) -> None:
+    def set_amplitude(self, amplitude_at: Callable[[float], float]) -> None:
         """Let the multiplier follow a function of time instead of the history."""
         self._followed = amplitude_at
 

@@ -127,7 +127,7 @@ class Constraints:
         if self.transforms:
             self._build_transformation(body_forms, support_of, frames)
             self._P_without_followers = self._P
-            self.follow()
+            self.update_followers()
             return
         self.constrained: Bools = support_of.ravel() >= 0
         prescribed = _prescribed_values(scene, space, support_of, None)
@@ -296,7 +296,7 @@ class Constraints:
             self.modes[:, first_unknown : first_unknown + 6] = (basis.T @ model_modes).T
         return local @ basis, constrained_count
 
-    def follow(self) -> None:
+    def update_followers(self) -> None:
         """Let nodes follow the current pairs of their surfaces; collective."""
         if self._followers:
             self._P = self._followers.matrix().matMult(self._P_without_followers)

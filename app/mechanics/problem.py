@@ -223,7 +223,7 @@ class Problem:
         if self.contact:
             self.contact.set_time(self.load_time)
         if self.sliding:
-            self.sliding.follow()
+            self.sliding.follow_pairs()
         self._set_forces(self.load_time)
 
     def _set_forces(self, load_time: float) -> None:

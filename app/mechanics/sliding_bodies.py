@@ -30,7 +30,7 @@ class SlidingBodies:
     """State of bodies with finite sliding; made collectively.
 
     The order of calls is: `begin` at rest, or `restore_pairs` and `begin_at` after a restart. Then
-    in each step `follow` when time or rotations change, `set_committed` before the solve,
+    in each step `follow_pairs` when time or rotations change, `set_committed` before the solve,
     `update_pairs` after each solve until it returns False, and `commit`.
 
     Attributes:
@@ -103,7 +103,7 @@ class SlidingBodies:
         jump = self._contact.jump_at_committed_pairing
         if jump is not None:
             self._contact.set_pairs(jump)
-            self.follow()
+            self.follow_pairs()
         return self._nodal
 
     def begin_at(self, trial: TrialState) -> None:
@@ -117,7 +117,7 @@ class SlidingBodies:
             self._contact_forces(trial),
         )
 
-    def follow(self) -> None:
+    def follow_pairs(self) -> None:
         """Let nodes follow the facets with which they are paired now; collective.
 
         The committed displacements are expressed in the current pairs.
@@ -125,7 +125,7 @@ class SlidingBodies:
         if not self._followers.changed:
             return
         stiffness, coupling = self._stiffness, self._contact.coupling
-        stiffness.constraints.follow()
+        stiffness.constraints.update_followers()
         stiffness.update(paired=True)
         coupling.update(stiffness.constraints, paired=True)
         u, q = stiffness.K.createVecRight(), coupling.D.createVecRight()
@@ -148,7 +148,7 @@ class SlidingBodies:
         displacements = self._split_displacements()
         if not self._contact.update_pairs(trial):
             return False
-        self.follow()
+        self.follow_pairs()
         self._set_unknowns(displacements, u, q)
         return True
 

@@ -83,7 +83,7 @@ class Followers:
     def begin(self, k: int, stage: Stage, is_new: bool) -> None:
         """Begin a stage."""
 
-    def follow(self, time: float, ends_increment: bool) -> None:
+    def after_heat_step(self, time: float, ends_increment: bool) -> None:
         """Record the time."""
         self.ends.append((time, ends_increment))
 
