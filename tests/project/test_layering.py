@@ -358,6 +358,15 @@ def test_layering_branch_by_class_is_detected(tmp_path: Path) -> None:
     assert classes_asked_for(file) == {"Force", "Bonded", "Fixed"}
 
 
+def test_layering_comparison_of_kinds_is_detected(tmp_path: Path) -> None:
+    file = tmp_path / "kinds.py"
+    file.write_text(
+        "a = law.kind == 'bonded'\nb = 'force' != load.kind\n"
+        "c = {'contact'} & {law.kind for law in laws}\nd = f'{law.kind} of {name}'\n"
+    )
+    assert kinds_compared(file) == [1, 2, 3]
+
+
 @all_of("app/case", "app/fatigue", "app/laws", "app/press_fit", "app/remodelling", "app/report")
 def test_layering_fields_are_declared(path: Path) -> None:
     """`getattr` with a default hides a field that no class declares."""
