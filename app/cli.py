@@ -87,7 +87,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         silence(sys.stdout)
         return 0
     except Exception as error:
-        problem = memory.explain(error) or form_cache.explain(error) or files.explain(error)
+        problem = (
+            memory.error_without_memory(error)
+            or form_cache.error_of_compilation(error)
+            or files.error_of_refused_path(error)
+        )
         if problem is not None:
             return _leave(problem)
         print(

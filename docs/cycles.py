@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from app.case.quantities import TABLE, in_print, titled
+from app.case.quantities import TABLE, in_print, label_with_unit
 from app.results import cycles
 
 PAGE = Path(__file__).resolve().parent / "howto" / "loads.md"
@@ -36,13 +36,13 @@ KEYS = ("slip_p99", "slip_path_p99", "motion_p99", "open_fraction")
 def numbers(summary: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """Rows of one run: what it is, and its value."""
     for key in ("subsidence", "retroversion"):
-        yield titled(f"stem.{key}"), TABLE["stem"][key].text(summary["stem"])
+        yield label_with_unit(f"stem.{key}"), TABLE["stem"][key].text(summary["stem"])
     for place in ("stem_cement", "cement_bone"):
         for key in KEYS:
             text = TABLE["interfaces"][key].text(summary["interfaces"][place])
-            yield titled(f"{place}.{key}"), text
+            yield label_with_unit(f"{place}.{key}"), text
     for of_stage in summary.get("cycles", {}).values():
-        for name, low, more in cycles.rows(of_stage):
+        for name, low, more in cycles.rows_of_cycles(of_stage):
             yield f"{in_print(name)}: permanent, inducible", f"{low}, {more}"
         lost = of_stage["dissipation"]
         yield "dissipation, second and last cycle (N mm)", f"{lost[0]:.3g}, {lost[-1]:.3g}"

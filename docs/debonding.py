@@ -25,7 +25,7 @@ SIDES = {-180: "lateral", -90: "posterior", 0: "medial", 90: "anterior", 180: "l
 
 def main(folders: list[Path]) -> None:
     """Damaged area over the load of each run; where the damage of the last one is."""
-    figure, (left, right) = figures.panels(2, 2, 4.8, 3.6)
+    figure, (left, right) = figures.figure_of_panels(2, 2, 4.8, 3.6)
     lines: list[Line] = []
     for k, folder in enumerate(folders):
         run = Run(folder)
@@ -47,9 +47,9 @@ def main(folders: list[Path]) -> None:
     right.set_facecolor("0.93")
     right.set_xticks(list(SIDES), list(SIDES.values()), fontsize=8)
     right.set_ylabel("height z (mm)")
-    figures.title(right, "damage at the full load, finest mesh")
+    figures.set_title(right, "damage at the full load, finest mesh")
     figure.colorbar(dots, ax=right)
-    figures.save(figure, FIGURE, 110, PNG)
+    figures.save_figure(figure, FIGURE, 110, PNG)
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ import numpy as np
 
 import mantle
 from app import extensions  # noqa: F401  (registers keys that cases have)
-from app.case.case import Case, load
+from app.case.case import Case, load_case
 from app.case.quantities import (
     ORDER_OF_DOSE,
     ORDER_OF_HEAT,
@@ -327,7 +327,7 @@ def case_of(folder: Path, hip: str, mesh: str) -> Case:
         changed = [f"{k}={v}" for k, v in options.items()]
     else:
         changed = [f"mesh.size={size} mm", f"mesh.order={order or 2}", "output.error=true"]
-    case = load(folder / f"{hip}.yaml", changed).config
+    case = load_case(folder / f"{hip}.yaml", changed).config
     return error_estimate.companions(case)[int(number)].case if number else case
 
 
@@ -349,7 +349,7 @@ def solve(folder: Path, hip: str, mesh: str) -> None:
     case = case_of(folder, hip, mesh)
     output = case.output.model_copy(update={"error": False, "report": False, "fields": False})
     loaded = replace(
-        load(folder / f"{hip}.yaml"), config=case.model_copy(update={"output": output})
+        load_case(folder / f"{hip}.yaml"), config=case.model_copy(update={"output": output})
     )
     summary = mantle.run(loaded, folder / "runs" / hip / mesh, force=True).summary
     (folder / "found" / hip).mkdir(parents=True, exist_ok=True)
@@ -405,7 +405,7 @@ def estimated(folder: Path, hip: str, mesh: str) -> Estimated | None:
     companions = enumerate(error_estimate.companions(case))
     solved = [(c, numbers(folder, hip, f"{mesh}-{k}")) for k, c in companions]
     summary = copy.deepcopy(coarse)
-    error_estimate.estimate(summary, case, [(c, n) for c, n in solved if n])
+    error_estimate.add_error_estimates(summary, case, [(c, n) for c, n in solved if n])
     return Estimated(summary, truth, largest_of_units(summary))
 
 

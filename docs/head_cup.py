@@ -23,7 +23,7 @@ PLACE = "bearing"
 def main(folder: Path) -> None:
     """Friction torque with that of a hand formula; wear depth and pressure on the liner."""
     run = Run(folder)
-    figure, (left, middle, right) = figures.panels(3, 3, 4.2, 3.6)
+    figure, (left, middle, right) = figures.figure_of_panels(3, 3, 4.2, 3.6)
     h, radius = run.step_record, float(run.case["geometry"]["head_diameter"].split()[0]) / 2
     friction = run.case["interfaces"][PLACE]["friction_coefficient"]
     part = h["time [-]"] - (len(run.case["stages"]) - 1)
@@ -51,12 +51,12 @@ def main(folder: Path) -> None:
     }
     for axes, (title, values) in zip((middle, right), fields.items(), strict=True):
         filled = axes.tricontourf(x[:, 0], x[:, 1], values, 14, cmap=LOADED)
-        figures.title(axes, title)
+        figures.set_title(axes, title)
         axes.set_xlabel("medial x (mm)")
         axes.set_ylabel("anterior y (mm)")
         axes.set_aspect("equal")
         figure.colorbar(filled, ax=axes)
-    figures.save(figure, FIGURE, 110, PNG)
+    figures.save_figure(figure, FIGURE, 110, PNG)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from typing import Any
 
 import mantle
 from app import extensions  # noqa: F401  (registers keys that cases have)
-from app.case.case import load
+from app.case.case import load_case
 from meshes import femur_stem
 
 # Length of the stem [mm].
@@ -55,11 +55,11 @@ def main(bone: Path, canal: Path, folder: Path) -> None:
         return path
 
     broached = {"surface": str(canal), "ream": "broach"}
-    real = load(case("the patient", patient(bone, None, 1.0, canal=broached))).config
+    real = load_case(case("the patient", patient(bone, None, 1.0, canal=broached))).config
     neck = math.degrees(real.geometry.femur.neck)
     version = round(neck + ANGLE, 2)
     azimuth = f"{version} deg"
-    femur = load(case("base", parametric(version, -101.0))).config.geometry
+    femur = load_case(case("base", parametric(version, -101.0))).config.geometry
     placement = femur.placement
     half = float(femur_stem.shaft_of(femur.implant).section(LENGTH - 101.0)[0])
     tip = round(placement.top + placement.slopes[0] * half - LENGTH, 3)

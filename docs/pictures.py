@@ -21,7 +21,7 @@ from app.campaigns.runs import Result
 from app.campaigns.study_report import Report
 from app.case import quantities
 from app.case import study as study_file
-from app.case.case import load
+from app.case.case import load_case
 from app.foundation.arrays import Floats, Ints
 from app.plots import figures, sections
 from app.plots.figures import PNG
@@ -57,7 +57,9 @@ def draw(ax: Any, title: str, x: Floats, cells: Ints, tets: Ints, colours: Float
     _, flats, lights = zip(*sorted(seen, key=lambda face: float(face[0])), strict=True)
     ax.add_collection(PolyCollection(flats, facecolors=lights, edgecolors="k", linewidths=0.25))
     of = np.repeat(np.arange(len(cells)), len(tets) // len(cells))
-    polygons = [(corners, of[of_face]) for corners, of_face in sections.cut(x, tets, 1, 0.0)]
+    polygons = [
+        (corners, of[of_face]) for corners, of_face in sections.cut_tetrahedra(x, tets, 1, 0.0)
+    ]
     for flat, of_face in polygons:
         ax.add_collection(
             PolyCollection(list(flat @ SCREEN), color=colours[of_face], linewidths=0.3)
@@ -70,10 +72,10 @@ def draw(ax: Any, title: str, x: Floats, cells: Ints, tets: Ints, colours: Float
 
 def reference_body_and_image() -> None:
     """Draw ``reference_body.png``."""
-    case = load(DOCS.parent / "configs" / "stance.yaml").config
+    case = load_case(DOCS.parent / "configs" / "stance.yaml").config
     surfaces = LayeredSurfaces(case.geometry, case.mesh)
     body = reference_body.make(surfaces.outline(), surfaces.through, surfaces.segments)
-    image = swept.mesh(surfaces, curved=False)
+    image = swept.meshed_layers(surfaces, curved=False)
     column, z = body.section, image.nodes.x[:, 2]
     levels = np.linspace(z.min(), z.max(), int(body.slab.max()) + 2)  # equidistant stations
     x = np.column_stack([np.tile(column, (len(levels), 1)), np.repeat(levels, len(column))])
@@ -89,7 +91,7 @@ def reference_body_and_image() -> None:
     draw(right, "its image by the map", image.nodes.x, image.cells, image.cells, rgb[image.region])
     handles = [Patch(facecolor=c, edgecolor="k", label=n) for n, c in colours.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=4)
-    figures.save(figure, DOCS / "reference_body.png", 110, PNG)
+    figures.save_figure(figure, DOCS / "reference_body.png", 110, PNG)
 
 
 def store(folder: Path) -> None:
@@ -122,7 +124,7 @@ def stance() -> Report:
             part = summary if owner == "stem" else summary["interfaces"]
             part.setdefault(owner, {})[key] = values[name]
         runs.append(study._study_run(Result(plan, DOCS, 0, values["cpu"], summary, "")))
-    return study.evaluate(wanted, runs)
+    return study.report_of_runs(wanted, runs)
 
 
 def main() -> None:

@@ -133,7 +133,7 @@ def campaigns_page() -> str:
 
 def _page(root: type[BaseModel], title: str) -> Iterator[str]:
     written: dict[str, tuple[str, list[str]]] = {}
-    for section in keys.sections(root):
+    for section in keys.key_sections(root):
         yield f"## {section.heading if section.path else title}\n"
         if section.path:
             yield f"{section.meaning}\n"

@@ -77,7 +77,7 @@ def main(folder: Path) -> None:
     figures.grid(bars, "y")
     label = "change along the line of sight (g/cm²)"
     figure.colorbar(colours, ax=maps, location="bottom", label=label, shrink=0.9)
-    figures.save(figure, FIGURE, 110, PNG)
+    figures.save_figure(figure, FIGURE, 110, PNG)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from pathlib import Path
 from statistics import median
 
 from app import extensions  # noqa: F401  (registers keys that cases have)
-from app.system.layout import table
+from app.system.layout import text_table
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = Path(__file__).with_suffix(".json")
@@ -110,7 +110,7 @@ def main() -> None:
         measure(*map(Path, sys.argv[1:]))
     rows = [[name, *row.values()] for name, row in json.loads(KEPT.read_text()).items()]
     logging.basicConfig(format="%(message)s", level=logging.INFO)
-    logging.info("%s", table(["CPU seconds", "before", "now", "ratio"], rows))
+    logging.info("%s", text_table(["CPU seconds", "before", "now", "ratio"], rows))
 
 
 if __name__ == "__main__":

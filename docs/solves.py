@@ -20,12 +20,12 @@ from typing import Any
 from mpi4py import MPI
 
 from app import extensions  # noqa: F401  (registers keys that cases have)
-from app.case.case import load
+from app.case.case import load_case
 from app.numerics.choice import SolverChoice
 from app.plots import figures
 from app.plots.figures import COLOURS, PNG
 from app.simulation.model import Model
-from app.system.layout import table
+from app.system.layout import text_table
 from app.system.timing import Timing
 from app.verification.cost_figures import FEMUR, STANCE, STEPS
 from app.verification.problem import CONFIGS
@@ -42,7 +42,7 @@ HEAD = (
 def measure(order: str, size: str, way: str) -> dict[str, Any]:
     """Times of one way on one mesh."""
     keys = (f"mesh.order={order}", f"mesh.size={size}", f"solver.linear={way}")
-    case = load(CONFIGS / FEMUR, [*STANCE, *STEPS, *keys]).config
+    case = load_case(CONFIGS / FEMUR, [*STANCE, *STEPS, *keys]).config
     timing, begin, ends = Timing(), process_time(), [0.0]
     model = Model(case, MPI.COMM_WORLD, {}, timing, str)
     model.run(lambda *_: ends.append(process_time() - begin))
@@ -65,7 +65,7 @@ def main() -> None:
         return
     lines = []
     meshes = [list(rows) for _, rows in groupby(known, lambda r: (r["order"], r["size"]))]
-    figure, every = figures.panels(len(meshes), 4, 3.1, 2.7)
+    figure, every = figures.figure_of_panels(len(meshes), 4, 3.1, 2.7)
     for axes, ways in zip(every, meshes, strict=True):
         row = ways[0]  # condensed
         unknowns = f"{row['displacement'] + row['jump']:,}"
@@ -87,9 +87,9 @@ def main() -> None:
     every[0].legend(fontsize=8)
     figure.supxlabel("solves on one mesh", fontsize=9)
     figure.supylabel("CPU time (s)", fontsize=9)
-    figures.save(figure, FIGURE, 110, PNG)
+    figures.save_figure(figure, FIGURE, 110, PNG)
     logging.basicConfig(format="%(message)s", level=logging.INFO)
-    logging.info("%s", table(HEAD, lines))
+    logging.info("%s", text_table(HEAD, lines))
 
 
 def _total(row: dict[str, Any], solves: int) -> float:

@@ -41,7 +41,7 @@ def main(folder: Path) -> None:
     nodes = np.flatnonzero(layer.areas("cement_bone"))
     area = layer.areas("cement_bone")[nodes]
     lines: list[Line] = []
-    figure, (share, *maps) = figures.panels(4, 4, 3.0, 3.6)
+    figure, (share, *maps) = figures.figure_of_panels(4, 4, 3.0, 3.6)
     for k, (name, run) in enumerate(runs.items()):
         place = {tuple(x): row for row, x in enumerate(run.points.round(6))}
         at = first_failure(run, [place[tuple(x)] for x in layer.points[nodes].round(6)])
@@ -54,13 +54,13 @@ def main(folder: Path) -> None:
         drawn = maps[k].scatter(
             angle[fails], z[fails], c=at[fails], s=22, marker="s", cmap=HEAT, vmin=0, vmax=MOST
         )
-        figures.title(maps[k], BONDS[name])
+        figures.set_title(maps[k], BONDS[name])
         maps[k].set_xticks([-180, -90, 0, 90, 180], ["lat.", "post.", "med.", "ant.", "lat."])
     maps[0].set_ylabel("height z (mm)")
     figure.colorbar(drawn, ax=maps, label="begins to fail at (times the stance)")
     draw_panel(share, Panel("failing part", "%", lines, "load (times the stance)", log=""))
     share.legend(frameon=False, title="bond")
-    figures.save(figure, FIGURE, 110, PNG)
+    figures.save_figure(figure, FIGURE, 110, PNG)
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ from meshes.data import (
     MeshKeys,
     boundary_areas,
     canonical,
-    components,
+    connected_components,
     faces_of,
     facet_areas,
     interface_facets,
@@ -66,7 +66,7 @@ def build(geometry: GeometryKeys, mesh: MeshKeys, cache: Path | None = None) -> 
         return _make(geometry, mesh)
     path = Path(cache) / f"mesh-{_cache.mesh_hash(geometry, mesh)}.npz"
     with _cache.lock(path):
-        data = _cache.load(path)
+        data = _cache.cached_mesh(path)
         if data is None:
             data = _make(geometry, mesh)
             _cache.store(data, path)
@@ -88,7 +88,7 @@ def _make(geometry: GeometryKeys, mesh: MeshKeys) -> MeshData:
     _check_interfaces(data, geometry.joined)
     notes = {
         **data.notes,
-        "quality": _quality.describe(data, quality),
+        "quality": _quality.notes_on_quality(data, quality),
         "volumes_mm3": region_volumes(data),
         "boundary_areas_mm2": boundary_areas(data),
         "interface_areas_mm2": {
@@ -100,7 +100,9 @@ def _make(geometry: GeometryKeys, mesh: MeshKeys) -> MeshData:
         from meshes import gruen, mantle
 
         zones = gruen.Zones(geometry) if is_hip(geometry) else None
-        notes["mantle"] = mantle.describe(data, mantle_keys.thickness, mantle_keys.tip, zones)
+        notes["mantle"] = mantle.notes_on_mantle(
+            data, mantle_keys.thickness, mantle_keys.tip, zones
+        )
         if zones:
             notes["mantle"]["cortex_min"] = mantle.least_cortex(data, mantle_keys.tip)
     if "stem_bone" in data.interfaces and is_hip(geometry):
@@ -170,7 +172,7 @@ def _check_parts(
             hint = f"; {pair_count} pairs of nodes have the same place: merge them"
         message = "the mesh has no " + ", no ".join(missing) + hint
         raise GeometryError(f"{message} [{Reason.MISSING_PART}]")
-    component = components(data.neighbours, data.cell_tags)
+    component = connected_components(data.neighbours, data.cell_tags)
     piece_counts = {
         n: len(np.unique(component[data.cell_tags == data.regions[n]])) for n in connected
     }

@@ -130,7 +130,7 @@ class Limits:
         return cls(keys.varus, keys.flexion, keys.version, keys.offset, keys.offset)
 
 
-def best(
+def roomiest_position(
     canal: WidestCanal,
     stem: StemSurface,
     start: Position,
@@ -281,12 +281,12 @@ def _search(geometry: SearchedHip, insertion: SearchedInsertion) -> tuple[list[f
     """Numbers of the best position, in the order of `_with_numbers`, and its gain in words."""
     start, limits = position(geometry), insertion.best
     assert limits is not None  # the position is to be searched
-    canal, neck = room.canal(geometry), geometry.femur.neck
+    canal, neck = room.widest_canal(geometry), geometry.femur.neck
     cut, implant, mirrored = canal.cut, geometry.implant, geometry.femur.mirrored
     start_placement = cut.put(implant, start, mirrored)
     stem = StemSurface.of(implant, start_placement)
     mantle_thickness = wanted_thickness(geometry, start_placement)
-    best_position = best(canal, stem, start, Limits.of(limits), mantle_thickness)
+    best_position = roomiest_position(canal, stem, start, Limits.of(limits), mantle_thickness)
     reference_azimuth = neck if insertion.version.relative_to == "neck" else 0.0
     rounded = Position(
         start.depth,

@@ -8,7 +8,7 @@ from types import ModuleType
 import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
-from meshes.data import MeshData, MeshKeys, assemble, exterior_facets, number
+from meshes.data import MeshData, MeshKeys, exterior_facets, mesh_data_of, number
 from meshes.geometry import StackKeys
 from meshes.gmsh_session import grade, session, tetrahedra
 
@@ -38,7 +38,7 @@ def build(geometry: StackKeys, mesh: MeshKeys) -> MeshData:
     facets, owner = exterior_facets(cells)
     regions, size = number(geometry.region_names), np.array([lx, ly, levels[-1]])
     masks = _boundaries(points[facets[:, :3]].mean(axis=1), block[owner], regions, size)
-    return assemble(points, cells, block, regions, geometry.interface_sides, masks, facets)
+    return mesh_data_of(points, cells, block, regions, geometry.interface_sides, masks, facets)
 
 
 def _stack(gmsh: ModuleType, width: float, depth: float, planes: Floats) -> None:

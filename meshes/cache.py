@@ -73,7 +73,7 @@ ARRAYS = ("points", "cells", "cell_tags", "facets", "facet_tags")
 NAMES = ("regions", "boundaries", "interfaces", "notes")
 
 
-def load(path: Path) -> MeshData | None:
+def cached_mesh(path: Path) -> MeshData | None:
     """Read a cached mesh; None when there is none or it is damaged (it is remade)."""
     try:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:

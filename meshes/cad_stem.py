@@ -19,9 +19,9 @@ from app.foundation.arrays import Bools, FloatOrFloats, Floats, unit_vectors
 from app.foundation.errors import GeometryError
 from meshes.data import StepKeys
 from meshes.femur_stem import ARC_WEIGHT, LEAST_WHOLE, Thickness, capped_shares, lines_per_piece
-from meshes.nearest_facets import distance
+from meshes.nearest_facets import distance_from_triangles
 from meshes.placement import Placement
-from meshes.plane_sections import ray_crossings, section
+from meshes.plane_sections import lines_at_height, ray_crossings
 
 BEND_WINDOW = 1 / 60  # of the length around: bend is averaged over it; shorter corners are points
 SHORTEST_FLAT = 1.5 / 60  # of the length around: flats between corners are longer
@@ -53,7 +53,7 @@ def outline(x: Floats, origin: Floats, plane: Floats) -> Floats:
     highest, lowest = np.maximum(np.maximum(a, b), c), np.minimum(np.minimum(a, b), c)
     is_near = (highest > -NEAR_PLANE) & (lowest < NEAR_PLANE)
     x = x[is_near].reshape(-1, 3) - origin
-    ray, r = ray_crossings(section(x, x @ normal) @ np.linalg.pinv(plane), THETA)
+    ray, r = ray_crossings(lines_at_height(x, x @ normal) @ np.linalg.pinv(plane), THETA)
     least_radii, largest_radii = np.full(RAYS, np.inf), np.zeros(RAYS)
     np.minimum.at(least_radii, ray, r)
     np.maximum.at(largest_radii, ray, r)
@@ -68,13 +68,13 @@ def outline_length(x: Floats) -> float:
     return float(np.sqrt(((x - np.roll(x, 1, axis=0)) ** 2).sum(axis=1)).sum())
 
 
-def positions(x: Floats) -> Floats:
+def fractions_around(x: Floats) -> Floats:
     """Parts of the length around before points of a closed outline (n, 3); shape (n,)."""
     length = np.sqrt(((np.roll(x, -1, axis=0) - x) ** 2).sum(axis=1))
     return np.asarray((np.cumsum(length) - length) / length.sum())
 
 
-def bends(x: Floats) -> Floats:
+def angles_at_points(x: Floats) -> Floats:
     """Angles by which a closed plane outline (n, 3) turns at its points (n,) [rad]."""
     edges = unit_vectors(np.roll(x, -1, axis=0) - x)
     before = np.roll(edges, 1, axis=0)
@@ -89,7 +89,7 @@ def corners(x: Floats) -> tuple[Floats, Floats]:
     A corner is where it bends more than in the mean, up to where it bends half as much as there.
     Bend is averaged over a window: a sharp corner is as wide as that.
     """
-    arc, bend = positions(x), bends(x)
+    arc, bend = fractions_around(x), angles_at_points(x)
     total = bend.sum()
     turned_angle = np.cumsum(bend) - 0.5 * bend
     arc = np.concatenate([arc - 1, arc, arc + 1])
@@ -219,7 +219,7 @@ def _with_corner_points(x: Floats, bounds: Floats, turns: Floats) -> tuple[Float
         bounds: Ends of corners in parts of the length around (m,).
         turns: Lines there (m,).
     """
-    arc, start, corner_arcs = positions(x), bounds[0], bounds[:-1]
+    arc, start, corner_arcs = fractions_around(x), bounds[0], bounds[:-1]
     corner_points = np.stack([np.interp(corner_arcs, arc, v, period=1.0) for v in x.T], axis=1)
     all_arcs = np.append((arc - start) % 1.0 + start, corner_arcs)
     return np.concatenate([x, corner_points]), np.interp(all_arcs, bounds, turns)
@@ -323,7 +323,7 @@ class CadStem:
         """
         x = self._cached_outline(height, slope, fraction)
         if fraction > 0:
-            turns, equal = self._cached_lines(height, slope, 0.0)[1][:RAYS], positions(x)
+            turns, equal = self._cached_lines(height, slope, 0.0)[1][:RAYS], fractions_around(x)
             after_collar = max(0.0, fraction - self._collar_end) / (1.0 - self._collar_end)
             to_equal = (equal - turns + 0.5) % 1.0 - 0.5
             # The square root turns lines early: in proportion they invert cells of a hollow neck.
@@ -331,7 +331,7 @@ class CadStem:
         knots = self._corner_lines.knots(x) if self._corner_lines else None
         if knots:
             return _with_corner_points(x, *knots)
-        return x, positions(x) if self._highest_turns is None else self._highest_turns
+        return x, fractions_around(x) if self._highest_turns is None else self._highest_turns
 
     @cached_property
     def _highest_turns(self) -> Floats | None:
@@ -389,7 +389,7 @@ class CadStem:
         """
         x = np.stack([x[:, 0], x[:, 1], np.maximum(x[:, 2], self._low + TIP_MARGIN)], axis=1)
         mantle_thickness = thickness(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
-        distances = distance(x, self._coarse)
+        distances = distance_from_triangles(x, self._coarse)
         is_above = x[:, 2] > self._high
         if is_above.any():
             shoulder_outline = self._cached_outline(self._high, 0.0, 0.0)[:, :2]

@@ -8,7 +8,7 @@ from types import ModuleType
 import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
-from meshes.data import MeshData, MeshKeys, assemble, exterior_facets, number
+from meshes.data import MeshData, MeshKeys, exterior_facets, mesh_data_of, number
 from meshes.geometry import CylinderKeys
 from meshes.gmsh_session import grade, session, tetrahedra
 from meshes.quality import POOR, sicn
@@ -49,7 +49,7 @@ def build(geometry: CylinderKeys, mesh: MeshKeys) -> MeshData:
         cell_tags[in_volume] = np.bincount(shell[in_volume]).argmax()
     regions, (facets, owner) = number(geometry.region_names), exterior_facets(cells)
     masks = _boundaries(points[facets[:, :3]], cell_tags[owner], regions, geometry, radii[2])
-    return assemble(points, cells, cell_tags, regions, geometry.interface_sides, masks, facets)
+    return mesh_data_of(points, cells, cell_tags, regions, geometry.interface_sides, masks, facets)
 
 
 def _tetrahedra(

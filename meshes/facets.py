@@ -6,15 +6,16 @@ import numpy as np
 
 from app.foundation.arrays import Floats
 from meshes.data import tangents
+from meshes.shape_functions import OPPOSITE_TRIANGLE, STRAIGHT, shape_functions
 
 # The vertices of a triangle, and the middles of the edges opposite them.
 NODES = np.concatenate([np.eye(3), (1 - np.eye(3)) / 2])
 
 
-def surface(x: Floats, barycentric: Floats) -> tuple[Floats, Floats]:
+def normals_and_areas(x: Floats, barycentric: Floats) -> tuple[Floats, Floats]:
     """Unit normals (f, q, 3) and area elements (f, q) of facets at barycentric points (q, 3)."""
     if x.shape[1] == 6:
-        a, b = tangents(x, barycentric, ((1, 2), (2, 0), (0, 1)))
+        a, b = tangents(x, barycentric, OPPOSITE_TRIANGLE)
     else:
         edge_columns = (x[:, 1:] - x[:, :1]).transpose(1, 2, 0)[..., None]
         a, b = np.broadcast_to(edge_columns, (*edge_columns.shape[:3], len(barycentric)))
@@ -28,24 +29,21 @@ def nodal_normals(x: Floats, inside: Floats, barycentric: Floats) -> Floats:
 
     ``x`` are the nodes of the facets (f, 3 or 6, 3), ``inside`` points in their cells (f, 3) [mm].
     """
-    normals, size = surface(x, barycentric)
+    normals, size = normals_and_areas(x, barycentric)
     flat_normals = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     outward = np.sign(np.einsum("fi,fi->f", flat_normals, x[:, 0] - inside))
     return normals * (outward * size.mean(axis=1) / 2)[:, None, None]
 
 
-def shape_functions(barycentric: Floats, nodes: int) -> Floats:
+def facet_shape_functions(barycentric: Floats, nodes: int) -> Floats:
     """Shape functions of facets with 3 or 6 nodes at barycentric points (q, 3) -> (q, nodes).
 
     Node 3 + k of six is the middle of the edge opposite vertex k.
     """
-    if nodes == 3:
-        return barycentric
-    middles = 4 * barycentric[:, [1, 2, 0]] * barycentric[:, [2, 0, 1]]
-    return np.concatenate([barycentric * (2 * barycentric - 1), middles], axis=1)
+    return shape_functions(barycentric, OPPOSITE_TRIANGLE if nodes == 6 else STRAIGHT)
 
 
-def bends(start: Floats, end: Floats, middle: Floats) -> Floats:
+def bends_of_edges(start: Floats, end: Floats, middle: Floats) -> Floats:
     r"""Factors by which the ends of curved edges move their middles, in addition to the mean.
 
     The middle is off the chord by the vector σ. Linear displacements change along σ too. With t the

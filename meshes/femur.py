@@ -19,9 +19,9 @@ from meshes.data import (
     MeshData,
     MeshKeys,
     Sides,
-    assemble,
     facet_areas,
     interface_facets,
+    mesh_data_of,
     number,
 )
 from meshes.geometry import HipKeys
@@ -48,7 +48,7 @@ def build(geometry: OperatedHipKeys, mesh: MeshKeys) -> MeshData:
             does not go with the neck cut.
     """
     surfaces = geometry.surfaces(mesh)
-    swept_mesh = swept.mesh(surfaces, bool(mesh.curved))
+    swept_mesh = swept.meshed_layers(surfaces, bool(mesh.curved))
     facets, owner = swept_mesh.facets
     bone = np.array([name.endswith("bone") for name in swept_mesh.names])[swept_mesh.region[owner]]
     masks = {
@@ -90,7 +90,7 @@ def assembled(
     tags = np.array([tag_of.get(name, 0) for name in swept_mesh.names])[swept_mesh.region]
     facets, _ = swept_mesh.facets
     masks |= _patches(geometry, x, facets, masks["bone_surface"])
-    data = assemble(x, swept_mesh.cells, tags, tag_of, interfaces, masks, facets)
+    data = mesh_data_of(x, swept_mesh.cells, tags, tag_of, interfaces, masks, facets)
     notes = {"head_centre": list(geometry.head_centre), "layers": swept_mesh.describe()}
     return replace(data, notes=notes, behind=swept_mesh.partner.reshape(-1, 4) // 4)
 

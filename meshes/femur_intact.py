@@ -227,7 +227,7 @@ def build(geometry: IntactHipKeys, mesh: MeshKeys) -> MeshData:
         slim_stem = stem.model_copy(update={key: SLIM_FACTOR * getattr(stem, key) for key in keys})
         changes |= {"cement_thickness": LEAST_MANTLE, "stem": slim_stem, "tip_void": 0.0}
     surfaces = Intact(geometry.model_copy(update=changes), mesh)
-    swept_mesh = swept.mesh(surfaces, bool(mesh.curved))
+    swept_mesh = swept.meshed_layers(surfaces, bool(mesh.curved))
     facets, _ = swept_mesh.facets
     distal, head = swept_mesh.on(facets, s=0), swept_mesh.above(facets, surfaces.neck)
     masks = {"distal_cut": distal, "bone_surface": ~distal, "head": head}

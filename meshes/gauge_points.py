@@ -1,6 +1,6 @@
 r"""Points of a strain gauge on the facets of a surface.
 
-A gauge is a disc in the tangent plane at its centre, projected along the normal onto the surface.
+A gauge is a circle in the tangent plane at its centre, projected along the normal onto the surface.
 Its points are Gauss points of rings, equally spaced around: with radius r and area
 :math:`A = π R^2`,
 
@@ -18,24 +18,30 @@ import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
 from meshes.data import tangents
+from meshes.facets import foot
+from meshes.shape_functions import (
+    GMSH_TRIANGLE,
+    STRAIGHT,
+    Edges,
+    shape_functions,
+    slopes_of_shape_functions,
+)
 
 # Rings of points, and points on each ring.
 RINGS = 8
 AROUND = 32
 # Largest angle between the normal of the gauge and that of the surface below it [deg].
-MOST_BEND = 60.0
+LARGEST_BEND = 60.0
 # Largest angle between the direction of the grid and the tangent plane [deg].
-MOST_STEEP = 60.0
+LARGEST_TILT = 60.0
 # Rounding of barycentric coordinates.
 ROUNDING = 1e-9
 # Points this far outside the flat triangle of a curved facet may lie in the facet.
 OUTSIDE = 0.5
 # Iterations of Newton's method in a curved facet.
 ITERATIONS = 10
-# Improvements of the normal by the facets below the disc.
+# Improvements of the normal by the facets below the circle.
 IMPROVEMENTS = 2
-# Edges of a curved facet with a node in the middle.
-EDGES = ((0, 1), (1, 2), (2, 0))
 
 
 @dataclass(frozen=True)
@@ -48,7 +54,7 @@ class GaugePoints:
         direction: Unit vector of its grid in the tangent plane (3,).
         distance: Distance of its centre from the point that was given [mm].
         facet: Facet of each point (n,).
-        share: Barycentric coordinates in the facet (n, 3).
+        barycentric: Barycentric coordinates in the facet (n, 3).
         weight: Weights, whose sum is 1 (n,).
     """
 
@@ -57,7 +63,7 @@ class GaugePoints:
     direction: Floats
     distance: float
     facet: Ints
-    share: Floats
+    barycentric: Floats
     weight: Floats
 
 
@@ -80,12 +86,12 @@ class _Hits:
 
     Attributes:
         facet: Facet of each (n,).
-        share: Barycentric coordinates in it (n, 3).
+        barycentric: Barycentric coordinates in it (n, 3).
         height: Position along the line [mm] (n,).
     """
 
     facet: Ints
-    share: Floats
+    barycentric: Floats
     height: Floats
 
 
@@ -103,7 +109,7 @@ def gauge_points(
         at: Point near the surface, or on the line of sight (3,) [mm].
         towards: Direction of the line of sight (3,); None for the nearest point of the surface.
         direction: Direction of the grid (3,).
-        diameter: Diameter of the disc [mm].
+        diameter: Diameter of the circle [mm].
 
     Raises:
         GaugeFault: The line of sight misses the surface, the direction is along the normal, or the
@@ -116,7 +122,7 @@ def gauge_points(
         facet, barycentric = _last_hit(x, given_point, np.asarray(towards, dtype=float))
     centre = _places(x[facet], barycentric)
     normal = _normals(x[[facet]], barycentric[None])[0]
-    radius, angle, weight = _disc(diameter / 2)
+    radius, angle, weight = _points_of_circle(diameter / 2)
     for _ in range(IMPROVEMENTS + 1):
         grid = _grid(direction, normal)
         across = np.cross(normal, grid)
@@ -125,16 +131,16 @@ def gauge_points(
         hits = _projected(x, points, normal, diameter)
         is_covered = hits.facet >= 0
         normals = np.zeros((len(points), 3))
-        normals[is_covered] = _normals(x[hits.facet[is_covered]], hits.share[is_covered])
+        normals[is_covered] = _normals(x[hits.facet[is_covered]], hits.barycentric[is_covered])
         slope = normals @ normal
         normals *= np.sign(slope)[:, None]
         mean = weight @ normals
-        is_allowed = is_covered & (np.abs(slope) >= np.cos(np.radians(MOST_BEND)))
+        is_allowed = is_covered & (np.abs(slope) >= np.cos(np.radians(LARGEST_BEND)))
         if not is_allowed.all():
             raise _circle_fault(radius, is_covered, is_allowed, centre)
         normal = mean / np.linalg.norm(mean)
     distance = float(np.linalg.norm(centre - given_point)) if towards is None else 0.0
-    return GaugePoints(centre, normal, grid, distance, hits.facet, hits.share, weight)
+    return GaugePoints(centre, normal, grid, distance, hits.facet, hits.barycentric, weight)
 
 
 def _grid(direction: Sequence[float], normal: Floats) -> Floats:
@@ -146,17 +152,17 @@ def _grid(direction: Sequence[float], normal: Floats) -> Floats:
     unit = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
     in_plane = unit - (unit @ normal) * normal
     size = float(np.linalg.norm(in_plane))
-    if size < np.cos(np.radians(MOST_STEEP)):
+    if size < np.cos(np.radians(LARGEST_TILT)):
         angle = np.degrees(np.arccos(min(size, 1.0)))
         nx, ny, nz = normal + 0.0
         message = f"is {angle:.0f} degrees out of the surface, whose normal is "
         message += f"[{nx:.2f}, {ny:.2f}, {nz:.2f}]"
-        raise GaugeFault("direction", message, f"expected at most {MOST_STEEP:g} degrees")
+        raise GaugeFault("direction", message, f"expected at most {LARGEST_TILT:g} degrees")
     return np.asarray(in_plane / size)
 
 
-def _disc(largest: float) -> tuple[Floats, Floats, Floats]:
-    """Radius [mm], angle [rad] and weight of the points of a disc (n,)."""
+def _points_of_circle(largest: float) -> tuple[Floats, Floats, Floats]:
+    """Radius [mm], angle [rad] and weight of the points of a circle (n,)."""
     # Rings of equal area have equal steps of the radius squared.
     points, weights = np.polynomial.legendre.leggauss(RINGS)
     radius = largest * np.sqrt((points + 1) / 2)
@@ -175,7 +181,7 @@ def _circle_fault(
     location = ", ".join(f"{c:.4g}" for c in centre + 0.0)
     if is_covered.all():
         message = (
-            f"the surface bends by more than {MOST_BEND:g} degrees below a circle"
+            f"the surface bends by more than {LARGEST_BEND:g} degrees below a circle"
             f" at [{location}] mm"
         )
     else:
@@ -195,17 +201,12 @@ def _circle_fault(
 
 def _places(x: Floats, barycentric: Floats) -> Floats:
     """Position of a point in a facet (3 or 6, 3) [mm]."""
-    return np.asarray(_shape(barycentric[None], len(x))[0] @ x)
+    return np.asarray(shape_functions(barycentric[None], _edges(x))[0] @ x)
 
 
-def _shape(barycentric: Floats, nodes: int) -> Floats:
-    """Shape functions (n, nodes) of facets."""
-    if nodes == 3:
-        return barycentric
-    i, j = np.array(EDGES).T
-    return np.concatenate(
-        [barycentric * (2 * barycentric - 1), 4 * barycentric[:, i] * barycentric[:, j]], axis=1
-    )
+def _edges(x: Floats) -> Edges:
+    """Edges with a middle node of facets (..., 3 or 6, 3), in gmsh's order."""
+    return GMSH_TRIANGLE if x.shape[-2] == 6 else STRAIGHT
 
 
 def _tangents(x: Floats, barycentric: Floats) -> tuple[Floats, Floats]:
@@ -213,7 +214,7 @@ def _tangents(x: Floats, barycentric: Floats) -> tuple[Floats, Floats]:
     if x.shape[1] == 3:
         return x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
     # Each facet has a separate point.
-    pairs = [tangents(x[[k]], barycentric[[k]], EDGES)[:, :, 0, 0] for k in range(len(x))]
+    pairs = [tangents(x[[k]], barycentric[[k]], GMSH_TRIANGLE)[:, :, 0, 0] for k in range(len(x))]
     pair_tangents = np.array(pairs).reshape(-1, 2, 3)
     return pair_tangents[:, 0], pair_tangents[:, 1]
 
@@ -274,7 +275,7 @@ def _on_lines(x: Floats, points: Floats, axis: Floats) -> list[tuple[int, int, F
         line, facet, barycentric = line[inside], facet[inside], barycentric[inside]
     barycentric = np.maximum(barycentric, 0.0)
     barycentric /= barycentric.sum(axis=1, keepdims=True)
-    position = np.einsum("nk,nkc->nc", _shape(barycentric, x.shape[1]), x[facet])
+    position = np.einsum("nk,nkc->nc", shape_functions(barycentric, _edges(x)), x[facet])
     height = (position - points[line]) @ axis
     return [
         (int(line_number), int(facet_number), point_coordinates, float(point_height))
@@ -286,16 +287,11 @@ def _on_lines(x: Floats, points: Floats, axis: Floats) -> list[tuple[int, int, F
 
 def _in_curved(plane_nodes: Floats, plane_points: Floats, barycentric: Floats) -> Floats:
     """Coordinates (n, 3) in curved facets, seen in a plane (n, 6, 2), of points there (n, 2)."""
-    i, j = np.array(EDGES).T
-    identity = np.eye(3)
     for _ in range(ITERATIONS if len(barycentric) else 0):
-        residual = plane_points - np.einsum("nk,nkc->nc", _shape(barycentric, 6), plane_nodes)
-        corners = (4 * barycentric - 1)[:, :, None] * identity
-        middles = 4 * (
-            barycentric[:, i, None] * identity[j] + barycentric[:, j, None] * identity[i]
+        residual = plane_points - np.einsum(
+            "nk,nkc->nc", shape_functions(barycentric, GMSH_TRIANGLE), plane_nodes
         )
-        slopes = np.concatenate([corners, middles], axis=1)
-        slopes = slopes[:, :, 1:] - slopes[:, :, :1]
+        slopes = slopes_of_shape_functions(barycentric, GMSH_TRIANGLE)
         jacobian = np.einsum("nkc,nkd->ncd", plane_nodes, slopes)
         regular = np.abs(np.linalg.det(jacobian)) > 0
         step = np.zeros_like(residual)
@@ -303,7 +299,9 @@ def _in_curved(plane_nodes: Floats, plane_points: Floats, barycentric: Floats) -
         barycentric = barycentric + np.column_stack([-step.sum(axis=1), step])
         # A line that misses the facet may have no solution: its iterates stay near the facet.
         barycentric = np.clip(barycentric, -1.0, 2.0)
-    residual = plane_points - np.einsum("nk,nkc->nc", _shape(barycentric, 6), plane_nodes)
+    residual = plane_points - np.einsum(
+        "nk,nkc->nc", shape_functions(barycentric, GMSH_TRIANGLE), plane_nodes
+    )
     size = np.abs(plane_nodes - plane_nodes[:, :1]).max(axis=(1, 2))
     missed = np.abs(residual).max(axis=1, initial=0.0) > 1e-8 * size
     barycentric[missed] = -1.0
@@ -313,40 +311,10 @@ def _in_curved(plane_nodes: Floats, plane_points: Floats, barycentric: Floats) -
 def _nearest(x: Floats, point: Floats) -> tuple[int, Floats]:
     """Facet with the nearest point of its flat triangle to a point, and its coordinates (3,)."""
     corners = x[:, :3]
-    least_distance = np.full(len(x), np.inf)
-    nearest_coordinates = np.zeros((len(x), 3))
-    for i, j in EDGES:
-        edge = corners[:, j] - corners[:, i]
-        fraction = np.einsum("fc,fc->f", point - corners[:, i], edge) / (edge**2).sum(axis=1)
-        fraction = np.clip(fraction, 0.0, 1.0)
-        barycentric = np.zeros((len(x), 3))
-        barycentric[:, i], barycentric[:, j] = 1 - fraction, fraction
-        _take_nearer(least_distance, nearest_coordinates, corners, point, barycentric)
-    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(a, b)
-    offset = point - corners[:, 0]
-    square = (normal**2).sum(axis=1)
-    second = np.einsum("fc,fc->f", np.cross(offset, b), normal) / square
-    third = np.einsum("fc,fc->f", np.cross(a, offset), normal) / square
-    barycentric = np.column_stack([1 - second - third, second, third])
-    is_inside = barycentric.min(axis=1) >= 0
-    barycentric[~is_inside] = np.eye(3)[0]
-    _take_nearer(least_distance, nearest_coordinates, corners, point, barycentric)
-    facet = int(np.argmin(np.round(least_distance, 9)))
-    return facet, nearest_coordinates[facet]
-
-
-def _take_nearer(
-    least_distance: Floats,
-    nearest_coordinates: Floats,
-    corners: Floats,
-    point: Floats,
-    barycentric: Floats,
-) -> None:
-    """Put points of flat triangles where they are nearer than the best ones so far."""
-    distance = np.linalg.norm(np.einsum("fk,fkc->fc", barycentric, corners) - point, axis=1)
-    nearer = distance < least_distance
-    least_distance[nearer], nearest_coordinates[nearer] = distance[nearer], barycentric[nearer]
+    barycentric = foot(np.broadcast_to(point, (len(x), 3)), corners)
+    feet = np.einsum("fk,fkc->fc", barycentric, corners)
+    facet = int(np.argmin(np.round(np.linalg.norm(feet - point, axis=1), 9)))
+    return facet, barycentric[facet]
 
 
 def _last_hit(x: Floats, point: Floats, towards: Floats) -> tuple[int, Floats]:

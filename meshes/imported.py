@@ -15,11 +15,11 @@ from app.foundation.errors import GeometryError
 from meshes.data import (
     MeshData,
     MeshKeys,
-    assemble,
     cell_volumes,
     connected,
     exterior_facets,
     interface_facets,
+    mesh_data_of,
     number,
     same_triangles,
 )
@@ -108,7 +108,7 @@ def build(geometry: FileKeys, mesh: MeshKeys) -> MeshData:
         for name, block in surfaces.items()
     }
     boundaries = {name: mask for name, mask in masks.items() if mask.any()}
-    data = assemble(points, cells, cell_tags, regions, geometry.interfaces, boundaries, facets)
+    data = mesh_data_of(points, cells, cell_tags, regions, geometry.interfaces, boundaries, facets)
     notes = {
         "file": str(path),
         "interior_surfaces": sorted({*masks} - {*boundaries}),

@@ -7,7 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.foundation.arrays import Floats, Ints
-from meshes.data import EDGES
+from meshes.shape_functions import (
+    GMSH_TETRAHEDRON,
+    STRAIGHT,
+    shape_functions,
+    slopes_of_shape_functions,
+)
 
 # Points this far outside a cell still belong to it, in barycentric coordinates: cells cut curved
 # surfaces. They have the value of the surface.
@@ -26,16 +31,16 @@ class Places:
 
     Attributes:
         cell: Row of the cell, -1 if the point is in no cell (n,).
-        share: Barycentric coordinates in the reference cell, by its corners (n, 4).
+        barycentric: Barycentric coordinates in the reference cell, by its corners (n, 4).
         inside: Smallest barycentric coordinate before the point was moved into the cell (n,).
     """
 
     cell: Ints
-    share: Floats
+    barycentric: Floats
     inside: Floats
 
 
-def place(points: Floats, cells: Ints, x: Floats) -> Places:
+def cells_of_points(points: Floats, cells: Ints, x: Floats) -> Places:
     """Find the cells that hold points.
 
     A point on a face of two cells belongs to the first of them.
@@ -62,7 +67,7 @@ def place(points: Floats, cells: Ints, x: Floats) -> Places:
         )
         if not len(near_cells):
             continue
-        cell_coordinates = _shares(nodes[near_cells], point)
+        cell_coordinates = _coordinates_in_cells(nodes[near_cells], point)
         smallest = np.round(cell_coordinates.min(axis=1), DIGITS)
         best_row = int(np.argmax(smallest))
         if smallest[best_row] < -OUTSIDE:
@@ -81,7 +86,7 @@ def barycentric_coordinates(corners: Floats, x: Floats) -> Floats:
     return np.concatenate([1.0 - last_three.sum(axis=-1, keepdims=True), last_three], axis=-1)
 
 
-def _shares(x: Floats, point: Floats) -> Floats:
+def _coordinates_in_cells(x: Floats, point: Floats) -> Floats:
     """Barycentric coordinates (m, 4) of a point in the reference cells of cells (m, 4 or 10, 3)."""
     barycentric = barycentric_coordinates(x[:, :4], point)
     if x.shape[1] == 4:
@@ -90,7 +95,8 @@ def _shares(x: Floats, point: Floats) -> Floats:
     is_close = np.flatnonzero(barycentric.min(axis=1) >= -2 * OUTSIDE)
     coordinates = barycentric[is_close]
     for _ in range(ITERATIONS if len(is_close) else 0):
-        values, slopes = shape_functions(coordinates)
+        values = shape_functions(coordinates, GMSH_TETRAHEDRON)
+        slopes = slopes_of_shape_functions(coordinates, GMSH_TETRAHEDRON)
         residual = point - np.einsum("ma,mai->mi", values, x[is_close])
         jacobian = np.einsum("maj,mai->mij", slopes, x[is_close])
         coordinates = (
@@ -102,16 +108,7 @@ def _shares(x: Floats, point: Floats) -> Floats:
     return barycentric
 
 
-def shape_functions(shares: Floats) -> tuple[Floats, Floats]:
-    """Quadratic shape functions (m, 10) in gmsh's order and derivatives (m, 10, 3)."""
-    i, j = np.array(EDGES).T
-    values = np.concatenate([shares * (2 * shares - 1), 4 * shares[:, i] * shares[:, j]], axis=1)
-    corners = (4 * shares - 1)[:, :, None] * SLOPES
-    middles = 4 * (shares[:, i, None] * SLOPES[j] + shares[:, j, None] * SLOPES[i])
-    return values, np.concatenate([corners, middles], axis=1)
-
-
-def positions(points: Floats, cells: Ints, shares: Floats) -> Floats:
+def positions_in_cells(points: Floats, cells: Ints, barycentric: Floats) -> Floats:
     """Positions (n, 3) [mm] at barycentric coordinates (n, 4) of cells (n, 4 or 10)."""
-    weights = shares if cells.shape[1] == 4 else shape_functions(shares)[0]
-    return np.asarray(np.einsum("na,nai->ni", weights, points[cells]))
+    values = shape_functions(barycentric, GMSH_TETRAHEDRON if cells.shape[1] == 10 else STRAIGHT)
+    return np.asarray(np.einsum("na,nai->ni", values, points[cells]))

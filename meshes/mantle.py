@@ -8,7 +8,7 @@ import numpy as np
 
 from app.foundation.arrays import Floats
 from meshes.data import MeshData, cell_volumes, faces_of, facet_areas, interface_facets
-from meshes.nearest_facets import distance, triangles
+from meshes.nearest_facets import distance_from_triangles, triangles
 
 if TYPE_CHECKING:
     from meshes.gruen import Zones
@@ -21,7 +21,7 @@ LATTICE = np.array(
 LATTICE = (LATTICE + 0.25) / 6
 
 
-def describe(
+def notes_on_mantle(
     data: MeshData, nominal: float, tip: float, zones: Zones | None = None
 ) -> dict[str, Any]:
     """Thickness and volume of the cement between interfaces stem_cement and cement_bone.
@@ -45,7 +45,7 @@ def describe(
     centres = stem.mean(axis=1)
     area = facet_areas(stem.reshape(-1, 3), np.arange(3 * len(stem)).reshape(-1, 3))
     bone = triangles(data.points, interface_facets(data, "cement_bone")[0])
-    distances = distance(centres, bone)
+    distances = distance_from_triangles(centres, bone)
     nominal_at = zones.thickness(centres) if zones else nominal
     order = np.argsort(distances)
     area_fraction = (np.cumsum(area[order]) - 0.5 * area[order]) / area.sum()
@@ -101,7 +101,7 @@ def least_cortex(data: MeshData, tip: float) -> float:
     z = data.points[facets[:, :3], 2]
     facets = facets[(z.min(axis=1) > tip) & (z.max(axis=1) < 0)]
     surface = data.facets[np.isin(data.facet_tags, data.boundaries["bone_surface"])]
-    distances = distance(
+    distances = distance_from_triangles(
         triangles(data.points, facets).mean(axis=1), triangles(data.points, surface)
     )
     return float(distances.min())

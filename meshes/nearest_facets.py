@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from app.foundation.arrays import Floats, Ints
-from meshes.facets import foot, shape_functions
+from meshes.facets import facet_shape_functions, foot
 
 # Number of parts into which the edges of curved facets are divided.
 EDGE_PARTS = 3
@@ -24,9 +24,9 @@ def triangles(points: Floats, facets: Ints, parts: int = EDGE_PARTS) -> Floats:
     corners = [[(i, j), (i + 1, j), (i, j + 1)] for i, j in nodes if i + j < parts]
     corners += [[(i + 1, j), (i + 1, j + 1), (i, j + 1)] for i, j in nodes if i + j < parts - 1]
     barycentric = np.array([(i, j, parts - i - j) for i, j in nodes]) / parts
-    # `shape_functions` has the middle of 12 before that of 20 and 01.
+    # `facet_shape_functions` has the middle of 12 before that of 20 and 01.
     x = points[facets[:, [0, 1, 2, 4, 5, 3]]]
-    fine = np.einsum("qn,fni->fqi", shape_functions(barycentric, 6), x)
+    fine = np.einsum("qn,fni->fqi", facet_shape_functions(barycentric, 6), x)
     return fine[:, [[row[node] for node in corner] for corner in corners]].reshape(-1, 3, 3)
 
 
@@ -61,10 +61,10 @@ def _corners_and_centres(divisions: int) -> Floats:
     return np.array(samples) / n
 
 
-def distance(points: Floats, surface: Floats) -> Floats:
+def distance_from_triangles(points: Floats, surface: Floats) -> Floats:
     """Distance of points (n, 3) from the triangles (m, 3, 3) nearest to them [mm]."""
-    triangle, weights = nearest(points, surface)
-    return np.linalg.norm(np.einsum("nk,nki->ni", weights, surface[triangle]) - points, axis=1)
+    triangle, barycentric = nearest(points, surface)
+    return np.linalg.norm(np.einsum("nk,nki->ni", barycentric, surface[triangle]) - points, axis=1)
 
 
 def nearest(points: Floats, surface: Floats) -> tuple[Ints, Floats]:
@@ -75,16 +75,16 @@ def nearest(points: Floats, surface: Floats) -> tuple[Ints, Floats]:
     _, candidates = cKDTree(samples).query(points, k=min(CANDIDATES, len(samples)))
     nearest_triangle = np.zeros(len(points), dtype=np.int64)
     least_distance = np.full(len(points), np.inf)
-    weights = np.zeros((len(points), 3))
+    barycentric = np.zeros((len(points), 3))
     for candidate in triangle_of[candidates].T:
         foot_weights = foot(points, surface[candidate])
         distances = np.linalg.norm(
             np.einsum("nk,nki->ni", foot_weights, surface[candidate]) - points, axis=1
         )
         is_nearer = distances < least_distance
-        nearest_triangle[is_nearer], least_distance[is_nearer], weights[is_nearer] = (
+        nearest_triangle[is_nearer], least_distance[is_nearer], barycentric[is_nearer] = (
             candidate[is_nearer],
             distances[is_nearer],
             foot_weights[is_nearer],
         )
-    return nearest_triangle, weights
+    return nearest_triangle, barycentric

@@ -14,13 +14,13 @@ import numpy as np
 from app.foundation.arrays import Bools, Floats, Ints
 from meshes.data import (
     MeshData,
-    boundary_facets,
     exterior_facets,
     faces_of,
     interface_facets,
+    nodes_of_boundary_facets,
     same_triangles,
 )
-from meshes.location import place, positions
+from meshes.location import cells_of_points, positions_in_cells
 
 # Parts of a facet with six nodes, by these.
 QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
@@ -40,14 +40,14 @@ class PathPoints:
         arc: Distance along the path from its first point (n,) [mm].
         x: Positions (n, 3) [mm].
         cell: Row of the cell in `MeshData`, -1 for a point outside (n,).
-        share: Barycentric coordinates in the reference cell (n, 4).
+        barycentric: Barycentric coordinates in the reference cell (n, 4).
         region: Tag of the region of the cell, 0 outside (n,).
     """
 
     arc: Floats
     x: Floats
     cell: Ints
-    share: Floats
+    barycentric: Floats
     region: Ints
 
     @property
@@ -109,11 +109,11 @@ def _inside(data: MeshData, region: str, arc: Floats, x: Floats) -> PathPoints:
     """Points with the cells that hold them."""
     in_region = data.cell_tags == data.regions[region] if region else data.cell_tags > 0
     allowed = np.flatnonzero(in_region)
-    places = place(data.points, data.cells[allowed], x)
+    places = cells_of_points(data.points, data.cells[allowed], x)
     is_inside = places.cell >= 0
     cell = np.where(is_inside, allowed[places.cell], -1)
     tags = np.where(is_inside, data.cell_tags[cell], 0).astype(np.int64)
-    return PathPoints(arc, x, cell, places.share, tags)
+    return PathPoints(arc, x, cell, places.barycentric, tags)
 
 
 # Surfaces
@@ -127,7 +127,7 @@ def facets_of_interface(
     Of an interface that is meshed apart, with two boundaries, they are those of the second one.
     """
     if boundaries:
-        nodes = boundary_facets(data, boundaries[1])
+        nodes = nodes_of_boundary_facets(data, boundaries[1])
         outer, cells = exterior_facets(data.cells)
         keys, outer_keys = same_triangles(nodes[:, :3], outer[:, :3])
         order = np.argsort(outer_keys)
@@ -225,7 +225,9 @@ class _Curve:
     end: Floats
     closed: bool
 
-    def shares(self, data: MeshData, segment: Ints, facet_coordinates: Floats) -> Floats:
+    def barycentric_in_cells(
+        self, data: MeshData, segment: Ints, facet_coordinates: Floats
+    ) -> Floats:
         """Coordinates (n, 4) in the cells of segments (n,) from those in their facets (n, 3)."""
         corners = data.cells[self.cells[segment], :4]
         is_same_node = corners[:, :, None] == self.facets[segment, None, :3]
@@ -234,7 +236,9 @@ class _Curve:
     def places(self, data: MeshData, segment: Ints, facet_coordinates: Floats) -> Floats:
         """Positions (n, 3) [mm] of points in facets."""
         cells = data.cells[self.cells[segment]]
-        return positions(data.points, cells, self.shares(data, segment, facet_coordinates))
+        return positions_in_cells(
+            data.points, cells, self.barycentric_in_cells(data, segment, facet_coordinates)
+        )
 
     def ends(self, data: MeshData) -> Floats:
         """Positions of the starts of all segments and of the last end (s + 1, 3) [mm]."""
@@ -277,7 +281,7 @@ class _Curve:
             arc,
             self.places(data, segment, facet_coordinates),
             cell,
-            self.shares(data, segment, facet_coordinates),
+            self.barycentric_in_cells(data, segment, facet_coordinates),
             data.cell_tags[cell].astype(np.int64),
         )
 

@@ -17,13 +17,13 @@ from meshes.data import (
     MeshData,
     cell_faces,
     cell_volumes,
-    components,
+    connected_components,
     exterior_facets,
     facet_areas,
     interface_nodes,
     same_triangles,
 )
-from meshes.facets import NODES, nodal_normals, shape_functions, surface
+from meshes.facets import NODES, facet_shape_functions, nodal_normals, normals_and_areas
 
 # Nodes this close, as a fraction of the mesh's diagonal, are meant to be one.
 COINCIDENT = 1e-7
@@ -145,7 +145,7 @@ def pieces_of_mesh(
         meshed_apart: Both boundaries of each interface that is meshed apart. The smaller one
             touches the other.
     """
-    piece = components(data.neighbours, data.cell_tags)
+    piece = connected_components(data.neighbours, data.cell_tags)
     count = int(piece.max()) + 1
     faces = cell_faces(data.cells)
     cell = np.repeat(np.arange(len(data.cells)), 4)
@@ -218,8 +218,8 @@ def _pieces(
 
 def _touches(points: Floats, facets: Ints, first_piece: Ints, second_piece: Ints) -> list[Touch]:
     middle, x = np.full((1, 3), 1 / 3), points[facets[:, OPPOSITE[: facets.shape[1]]]]
-    centres = (shape_functions(middle, facets.shape[1]) @ x)[:, 0]
-    normals, double_areas = (values[:, 0] for values in surface(x, middle))
+    centres = (facet_shape_functions(middle, facets.shape[1]) @ x)[:, 0]
+    normals, double_areas = (values[:, 0] for values in normals_and_areas(x, middle))
     touches = []
     for a, b in sorted({(int(a), int(b)) for a, b in zip(first_piece, second_piece, strict=True)}):
         is_between = (first_piece == a) & (second_piece == b)
@@ -341,7 +341,7 @@ def touching_without_shared_nodes(data: MeshData) -> dict[tuple[str, str], tuple
     name_of_tag = {tag: region for region, tag in data.regions.items()}
     facets, cells = exterior_facets(data.cells)
     facets = facets[:, :3]
-    bodies = components(data.neighbours, np.zeros(len(data.cells), dtype=np.int32))
+    bodies = connected_components(data.neighbours, np.zeros(len(data.cells), dtype=np.int32))
     body = bodies[cells]
     if body.max(initial=0) == 0:
         return {}

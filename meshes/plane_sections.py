@@ -9,7 +9,7 @@ import numpy as np
 from app.foundation.arrays import Floats, Ints
 
 
-def section(x: Floats, height: Floats, triangles: Ints | None = None) -> Floats:
+def lines_at_height(x: Floats, height: Floats, triangles: Ints | None = None) -> Floats:
     """Lines (k, 2, d) in which triangles meet height 0, the body to their left, seen from above.
 
     Args:

@@ -56,7 +56,7 @@ def _by_edges(a: Floats, b: Floats, c: Floats) -> Floats:
     return 6 * dot(a, d) / np.where(scale > 0, scale, 1.0)
 
 
-def describe(data: MeshData, quality: Floats) -> dict[str, Any]:
+def notes_on_quality(data: MeshData, quality: Floats) -> dict[str, Any]:
     """Quality notes: counts, least and median SICN, and the least of each region."""
     return {
         "cells": len(data.cells),
@@ -193,7 +193,7 @@ def _poor(points: Floats, cells: Ints, quality: Floats) -> Ints:
     return poor[quality_without_length(points, cells[poor]) < POOR]
 
 
-def relaxed(points: Floats, cells: Ints, free: Bools, digits: int) -> Floats:
+def relaxed_nodes(points: Floats, cells: Ints, free: Bools, digits: int) -> Floats:
     """Move free nodes of poor straight cells until the cells are good, or get no better.
 
     Sections of a stem where its shoulder goes over to the neck are not convex: nodes that are

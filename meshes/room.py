@@ -77,7 +77,7 @@ class WidestCanal:
         return np.asarray(DISTANCE_UNIT * room - outside_distance)
 
 
-def canal(geometry: HipKeys) -> WidestCanal:
+def widest_canal(geometry: HipKeys) -> WidestCanal:
     """The widest possible canal of a geometry.
 
     Raises:
@@ -273,4 +273,4 @@ def fit_of(geometry: HipKeys) -> Fit:
         GeometryError: The shaft's axis leaves the bone, or the stem is above the neck cut.
     """
     placement = geometry.placement
-    return fit(canal(geometry), StemSurface.of(geometry.implant, placement), placement)
+    return fit(widest_canal(geometry), StemSurface.of(geometry.implant, placement), placement)

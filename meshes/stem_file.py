@@ -18,7 +18,7 @@ from meshes.cad_stem import NECK_INSET, outline, outline_length
 from meshes.data import facet_areas
 from meshes.gmsh_session import MILLIMETRES, elements, nodes, session
 from meshes.nearest_facets import triangles
-from meshes.plane_sections import section
+from meshes.plane_sections import lines_at_height
 
 # A circle of 6 mm is met to 0.008 mm.
 TRIANGLES_PER_TURN = 15  # second-order triangles in a full turn
@@ -202,7 +202,7 @@ def _axis(x: Floats) -> tuple[Floats, Floats]:
             centres = []
             for fraction in np.linspace(*AXIS_RANGE, 24):
                 height = heights - (1 - fraction) * heights.min() - fraction * heights.max()
-                ends = section(x.reshape(-1, 3), height.ravel())
+                ends = lines_at_height(x.reshape(-1, 3), height.ravel())
                 length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
                 centres.append(length @ ends.mean(axis=1) / length.sum())
             origin = np.mean(centres, axis=0)

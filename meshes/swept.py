@@ -20,7 +20,7 @@ from meshes import reference_body
 from meshes.data import EDGES, cell_volumes, faces_of, match_faces
 from meshes.layered_surfaces import LayeredSurfaces
 from meshes.layers import DIGITS, Nodes
-from meshes.quality import check, relaxed, sicn, untangle
+from meshes.quality import check, relaxed_nodes, sicn, untangle
 from meshes.reference_body import ReferenceBody
 
 # Least thickness of a layer, over the distance to the next line, and to the next section: where it
@@ -93,7 +93,7 @@ class Swept:
         }
 
 
-def mesh(surfaces: LayeredSurfaces, curved: bool) -> Swept:
+def meshed_layers(surfaces: LayeredSurfaces, curved: bool) -> Swept:
     """Mesh the layers; cells are curved if asked.
 
     Raises:
@@ -360,7 +360,9 @@ def _with_moved_core_nodes(swept_mesh: Swept) -> Swept:
     np.maximum.at(highest_region, cells, swept_mesh.region[:, None])
     is_free = (nodes.rho == 0) & (lowest_region == highest_region)
     is_free[swept_mesh.facets[0]] = False
-    return replace(swept_mesh, nodes=replace(nodes, x=relaxed(nodes.x, cells, is_free, DIGITS)))
+    return replace(
+        swept_mesh, nodes=replace(nodes, x=relaxed_nodes(nodes.x, cells, is_free, DIGITS))
+    )
 
 
 def _check(swept_mesh: Swept) -> None:

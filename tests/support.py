@@ -25,7 +25,7 @@ from ruamel.yaml import YAML
 import mantle
 import meshes
 from app.case import library
-from app.case.case import Case, load, plain
+from app.case.case import Case, load_case, plain_data
 from app.foundation.arrays import Floats
 from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
@@ -43,7 +43,7 @@ from meshes.data import MeshData
 from meshes.distribute import TaggedMesh, distribute
 
 # Tests compile into the cache that runs of other tests use at the same time.
-form_cache.guard()
+form_cache.patch_ffcx()
 
 TIMEOUT = 300.0  # of a program on ranks [s]
 ROOT = Path(__file__).resolve().parents[1]
@@ -174,12 +174,12 @@ def case(text: str | Mapping[str, Any], *overrides: str) -> Case:
             path.write_text(text, encoding="utf-8")
         else:
             YAML().dump(dict(text), path)
-        return load(path, overrides).config
+        return load_case(path, overrides).config
 
 
 def without_origin(case: Case) -> dict[str, Any]:
     """A case as data, without status and source of its regions and loads."""
-    data = plain(case)
+    data = plain_data(case)
     for part in (*data["regions"].values(), *data["loads"].values()):
         for key in library.ORIGIN:
             part.pop(key, None)
@@ -275,7 +275,7 @@ def run(text: str, folder: Path, *overrides: str) -> Results:
     folder.mkdir(exist_ok=True)
     path = folder / "case.yaml"
     path.write_text(text)
-    return mantle.run(load(path, overrides), folder / "out")
+    return mantle.run(load_case(path, overrides), folder / "out")
 
 
 def vector(values: Any, unit: str = "") -> str:

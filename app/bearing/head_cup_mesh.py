@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from app.foundation.arrays import Floats, Ints
-from meshes.data import MeshData, MeshKeys, assemble, exterior_facets, number
+from meshes.data import MeshData, MeshKeys, exterior_facets, mesh_data_of, number
 from meshes.gmsh_session import grade, session, tetrahedra
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def build(geometry: HeadCup, mesh: MeshKeys) -> MeshData:
     masks |= {f"{name}_rim": rim & (facet_tags == t) for name, t in regions.items() if t > 1}
     masks[geometry.boundary_names[-1]] = ~on_head & ~rim & ~inner
     points = points @ _rotation(geometry.inclination, geometry.version).T
-    return assemble(points, cells, tags, regions, geometry.interface_sides, masks, facets)
+    return mesh_data_of(points, cells, tags, regions, geometry.interface_sides, masks, facets)
 
 
 def _head(geometry: HeadCup, mesh: MeshKeys) -> Body:

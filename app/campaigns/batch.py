@@ -33,8 +33,8 @@ from pathlib import Path
 
 from app.campaigns import scheduler
 from app.campaigns.runs import BatchRun, Result, result_of, runs_of, tail
-from app.case.case import PlannedRun, dump, plain
-from app.case.variations import split
+from app.case.case import PlannedRun, dump, plain_data
+from app.case.variations import shared_and_varied
 from app.foundation.errors import EnvironmentProblem, InputError, StoppedError
 from app.schema import yaml_file
 from app.soundness import cost, memory
@@ -65,7 +65,7 @@ class Options:
         pattern: Text in the names of the selected runs; empty for all.
         tier: quick, default or long.
         slurm: Options of sbatch, to make each run a Slurm job; None to run here.
-        dry_run: True to log the `plan` only.
+        dry_run: True to log the table of planned runs only.
     """
 
     folder: Path
@@ -147,14 +147,14 @@ def run(
     return results()
 
 
-def plan(title: str, planned: Sequence[PlannedRun], options: Options) -> str:
+def table_of_planned_runs(title: str, planned: Sequence[PlannedRun], options: Options) -> str:
     """Titled table of planned runs: size, estimated cost, status. Runs nothing."""
     runs = runs_of(planned, options.folder, options.cores)
     rows = []
     wall = 0.0
     counted: set[object] = set()
     for planned_run, r in zip(planned, runs, strict=True):
-        seconds = cost.seconds(planned_run.case, r.process not in counted)  # on one core
+        seconds = cost.estimated_seconds(planned_run.case, r.process not in counted)  # on one core
         seconds_alone = seconds / min(planned_run.ranks, options.cores)
         expected_time = duration(seconds_alone)
         note = f"shares the matrices of {r.process}" if r.process in counted else ""
@@ -165,9 +165,9 @@ def plan(title: str, planned: Sequence[PlannedRun], options: Options) -> str:
         counted |= {r.process, r.path}
         if expected_time != "-":
             wall += seconds_alone if planned_run.needs_idle_machine else seconds / options.cores
-        size = layout.count(round(cost.unknowns(planned_run.case), -2))
+        size = layout.count(round(cost.estimated_unknowns(planned_run.case), -2))
         rows.append((planned_run.name, planned_run.ranks, size, expected_time, note))
-    run_table = layout.table(("case", "ranks", "unknowns", "about", ""), rows)
+    run_table = layout.text_table(("case", "ranks", "unknowns", "about", ""), rows)
     expected_time = duration(IDLE * wall)
     return (
         f"{title}\n\n{run_table}\n\nabout {expected_time} for the remaining runs on"
@@ -246,11 +246,11 @@ def _text(runs: Sequence[BatchRun]) -> str:
     first_run = runs[0]
     if not first_run.shares_process:
         return dump(first_run.planned.case)
-    data = plain(first_run.planned.case)
-    _, base = split(data)
+    data = plain_data(first_run.planned.case)
+    _, base = shared_and_varied(data)
     variations = {}
     for r in runs:
-        _, values = split(plain(r.planned.case))
+        _, values = shared_and_varied(plain_data(r.planned.case))
         keys = [key for key in base | values if base.get(key) != values.get(key)]
         variations[r.id] = {key: values.get(key) for key in keys}
     return yaml_file.to_yaml(data | {"variations": variations})

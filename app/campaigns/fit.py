@@ -125,7 +125,7 @@ class Evaluations:
             )
             self._by_values[point] = run
             self.runs.append(run)
-            log.info("%s", fit_results.line(self.problem, run))
+            log.info("%s", fit_results.line_of_run(self.problem, run))
         return [self._by_values[point] for point in points.values()]
 
     def derivatives(self, run: FitRun) -> Floats:
@@ -176,7 +176,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> FitRecord | N
     if options.dry_run:
         planned, _ = problem.plan("start", start_fractions)
         title = f"{problem.title}: the first of at most {fit.runs} runs"
-        log.info("%s", batch.plan(title, planned, options))
+        log.info("%s", batch.table_of_planned_runs(title, planned, options))
         return None
     log.info("%s: %d keys, at most %d runs", problem.title, len(fit.keys), fit.runs)
     evaluate = Evaluations(problem, options)
@@ -191,13 +191,13 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> FitRecord | N
         uncertainties = np.array([target.uncertainty for target in fit.number_targets.values()])
         identified = identify(np.nan_to_num(outcome.derivatives / uncertainties[:, None]))
     verdicts = fit_verdicts.verdicts(problem, evaluate.runs, outcome, identified)
-    record = fit_results.record(
+    record = fit_results.record_of_fit(
         problem, options.folder, evaluate.runs, outcome, identified, verdicts
     )
     with batch.writable(options.folder):
         write_json(options.folder / "fit.json", record)
-        write_text(options.folder / "fit.csv", fit_results.csv(record))
-    log.info("\n%s", fit_results.text(record))
+        write_text(options.folder / "fit.csv", fit_results.csv_of_fit(record))
+    log.info("\n%s", fit_results.text_of_fit(record))
     for verdict in verdicts:
         if verdict.severity is not Severity.ERROR:
             log.warning("note: %s", verdict.text)

@@ -225,7 +225,7 @@ def fit_run(
     )
 
 
-def record(
+def record_of_fit(
     problem: FitProblem,
     folder: Path,
     runs: Sequence[FitRun],
@@ -331,7 +331,7 @@ def _number_rows(
         derivatives_of_number = {} if derivatives is None else _plain(derivatives[i])
         row: NumberRow = {
             "value": value,
-            "unit": quantities.find(name).unit,
+            "unit": quantities.quantity_or_fail(name).unit,
             "derivatives": dict(zip(fit.keys, derivatives_of_number, strict=False)),
         }
         if name in fit.number_targets:
@@ -366,20 +366,20 @@ def _run_row(problem: FitProblem, run: FitRun, folder: Path) -> FitRow:
 # Tables
 
 
-def shown(name: str, value: float) -> str:
+def number_with_unit(name: str, value: float) -> str:
     """Format a number with its unit as printed."""
-    q = quantities.find(name)
+    q = quantities.quantity_or_fail(name)
     return f"{q.factor * value:.4g} {quantities.printed(q.shown)}".strip()
 
 
-def line(problem: FitProblem, run: FitRun) -> str:
+def line_of_run(problem: FitProblem, run: FitRun) -> str:
     """Format keys, numbers and misfit of a run in one line."""
     short_names = short_keys(list(problem.fit.keys))
     keys = ", ".join(f"{short_names[key]} {value}" for key, value in run.values.items())
     if not run.done:
         return f"{run.name}: {keys}: {run.message}"
     pairs = zip(problem.fit.numbers, run.array, strict=True)
-    numbers = ", ".join(f"{name} {shown(name, float(value))}" for name, value in pairs)
+    numbers = ", ".join(f"{name} {number_with_unit(name, float(value))}" for name, value in pairs)
     misfit = f", misfit {run.misfit:.3g}" if problem.fit.targets else ""
     return f"{run.name}: {keys}: {numbers}{misfit}"
 
@@ -408,7 +408,7 @@ def number_rows(fit_record: FitRecord) -> tuple[list[str], list[list[str]]]:
         head = ["number", "unit", "at least", "at most", "reached"]
     rows = []
     for name, row in fit_record["numbers"].items():
-        q = quantities.find(name)
+        q = quantities.quantity_or_fail(name)
 
         def text(value: float | None, digits: int = 4, factor: float = q.factor) -> str:
             return "" if value is None else f"{factor * value:.{digits}g}"
@@ -428,14 +428,16 @@ def run_rows(fit_record: FitRecord) -> tuple[list[str], list[list[str]]]:
     short_names = short_keys(list(fit_record["keys"]))
     numbers = [*fit_record["numbers"]]
     targets = fit_record["aim"] == "targets"
-    head = ["run", *short_names.values(), *map(quantities.titled, numbers)]
+    head = ["run", *short_names.values(), *map(quantities.label_with_unit, numbers)]
     head += ["misfit", "time"] if targets else ["time"]
     rows = []
     for run in fit_record["runs"]:
         cells = [run["name"], *(str(value) for value in run["values"].values())]
         for name in numbers:
             value = run["numbers"].get(name)
-            cells.append("-" if value is None else f"{quantities.find(name).factor * value:.4g}")
+            cells.append(
+                "-" if value is None else f"{quantities.quantity_or_fail(name).factor * value:.4g}"
+            )
         if targets:
             cells.append("failed" if run["misfit"] is None else f"{run['misfit']:.3g}")
         rows.append([*cells, layout.duration(run["seconds"])])
@@ -455,18 +457,18 @@ def correlation_rows(fit_record: FitRecord) -> tuple[list[str], list[list[str]]]
     return head, rows
 
 
-def text(fit_record: FitRecord) -> str:
+def text_of_fit(fit_record: FitRecord) -> str:
     """Tables and verdicts of a fit."""
-    tables = [layout.table(*run_rows(fit_record)), layout.table(*key_rows(fit_record))]
+    tables = [layout.text_table(*run_rows(fit_record)), layout.text_table(*key_rows(fit_record))]
     head, correlations = correlation_rows(fit_record)
     if correlations:
-        tables.append(layout.table(head, correlations))
-    tables.append(layout.table(*number_rows(fit_record)))
+        tables.append(layout.text_table(head, correlations))
+    tables.append(layout.text_table(*number_rows(fit_record)))
     tables.append(f"{fit_record['best']} has these values; to repeat it: {fit_record['command']}")
     return "\n\n".join(tables)
 
 
-def csv(fit_record: FitRecord) -> str:
+def csv_of_fit(fit_record: FitRecord) -> str:
     """Table of the runs as CSV, in units of ``summary.json``."""
     rows = []
     for run in fit_record["runs"]:

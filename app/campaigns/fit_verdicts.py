@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from app.campaigns import identifiability
-from app.campaigns.fit_results import FitRecord, FitRun, Outcome, at_bound, shown
+from app.campaigns.fit_results import FitRecord, FitRun, Outcome, at_bound, number_with_unit
 from app.campaigns.identifiability import KNOWN_RANGE, Identifiability
 from app.case.fit import FitProblem
 from app.case.points import short_keys
@@ -93,9 +93,9 @@ def _of_targets(problem: FitProblem, best_run: FitRun) -> Iterator[Verdict]:
         deviation = abs(value - target.value) / target.uncertainty
         if deviation > DOUBTFUL:
             statement = (
-                f"is {shown(name, float(value))} at best and cannot reach"
-                f" {shown(name, target.value)}: {deviation:.1f} uncertainties of"
-                f" {shown(name, target.uncertainty)} remain"
+                f"is {number_with_unit(name, float(value))} at best and cannot reach"
+                f" {number_with_unit(name, target.value)}: {deviation:.1f} uncertainties of"
+                f" {number_with_unit(name, target.uncertainty)} remain"
             )
             severity = Severity.ERROR if deviation > NOT_REACHED else Severity.WARNING
             yield Verdict(statement, name, remedy, severity)
@@ -121,7 +121,7 @@ def _of_knowledge(problem: FitProblem, identified: Identifiability) -> Iterator[
                 "leave this key out, or add a number that depends on it",
             )
             continue
-        combination = identifiability.in_words(direction, short_names)
+        combination = identifiability.direction_in_words(direction, short_names)
         counts = ""
         if len(fit.targets) < len(fit.keys):
             counts = f"{len(fit.keys)} keys and {len(fit.targets)} targets: "
@@ -155,9 +155,10 @@ def _of_constraints(problem: FitProblem, best_run: FitRun) -> Iterator[Verdict]:
             (upper_bound, "at most", value - upper_bound),
         ):
             if excess > 0:
+                closest, bound = number_with_unit(name, value), number_with_unit(name, limit)
                 statement = (
-                    "no run meets all constraints; in the closest one it is"
-                    f" {shown(name, value)}, and it must be {relation} {shown(name, limit)}"
+                    f"no run meets all constraints; in the closest one it is {closest}, and it must"
+                    f" be {relation} {bound}"
                 )
                 yield Verdict(
                     statement, name, "widen the bounds of the keys, or relax this constraint"

@@ -85,7 +85,7 @@ def identify(derivatives: Floats) -> Identifiability:
     )
 
 
-def in_words(direction: dict[int, float], names: Sequence[str]) -> str:
+def direction_in_words(direction: dict[int, float], names: Sequence[str]) -> str:
     """Name the keys of a direction: ``a and b`` if they increase together, else ``a against b``."""
     first_component = next(iter(direction.values()))
     with_first = [names[k] for k, v in direction.items() if v * first_component > 0]

@@ -15,9 +15,9 @@ from functools import partial
 from pathlib import Path
 from typing import cast
 
-from app.case.case import Case, PlannedRun, dump, plain
+from app.case.case import Case, PlannedRun, dump, plain_data
 from app.case.summary import Summary
-from app.case.variations import CHANGED, split
+from app.case.variations import CHANGED, shared_and_varied
 from app.foundation.errors import ConvergenceError, EnvironmentProblem, StoppedError, UnusableError
 from app.results.verdicts import reasons_not_to_use
 from app.soundness import cost, memory
@@ -136,7 +136,7 @@ def runs_of(planned: Sequence[PlannedRun], folder: Path, cores: int | None) -> l
         needs_idle_machine = first_run.needs_idle_machine or run.needs_idle_machine
         unique[id] = replace(first_run, needs_idle_machine=needs_idle_machine)
         if run.share:
-            shared_data, _ = split(plain(run.case))
+            shared_data, _ = shared_and_varied(plain_data(run.case))
             ids_of_matrix = ids_by_matrix.setdefault(
                 _digest(json.dumps(shared_data, sort_keys=True), run), []
             )
@@ -176,7 +176,12 @@ def _begun(folder: Path) -> dict[str, Path]:
 
 def _digest(case_text: str, run: PlannedRun) -> str:
     """Return the hexadecimal digest of a case as text, ranks, program and files of the geometry."""
-    digested_texts = [case_text, str(run.ranks), identity.text(), run.case.geometry.content]
+    digested_texts = [
+        case_text,
+        str(run.ranks),
+        identity.text_of_versions(),
+        run.case.geometry.content,
+    ]
     return hashlib.sha256("\0".join(digested_texts).encode()).hexdigest()[:DIGITS]
 
 
@@ -217,7 +222,7 @@ def result_of(run: BatchRun, planned: PlannedRun | None = None, *, over: bool = 
 
 def _killed(run: BatchRun) -> str:
     """Return the message on a run that the system killed, with needed and available memory."""
-    available_memory = memory.available()
+    available_memory = memory.available_memory()
     needed_memory = cost.gigabytes(run.planned.case, available_memory)
     message = "killed, probably out of memory: "
     if needed_memory:

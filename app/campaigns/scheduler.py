@@ -91,7 +91,7 @@ def execute(
     environ = dict(os.environ)
     if slurm is None:
         # Snakemake runs as many jobs at once as cores and memory allow.
-        megabytes = int(memory.available({}) / MEGABYTE)
+        megabytes = int(memory.available_memory({}) / MEGABYTE)
         command += ["--cores", str(cores), "--resources", f"memory={megabytes}"]
     else:
         command += _slurm_options(folder, slurm, exclusive)

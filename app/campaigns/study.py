@@ -47,10 +47,13 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     study, planned, common = study_file.read(path, overrides)
     chosen_runs = _selected_runs(planned, options)
     if options.dry_run:
-        log.info("%s", batch.plan(f"{path}: {len(chosen_runs)} runs", chosen_runs, options))
+        log.info(
+            "%s",
+            batch.table_of_planned_runs(f"{path}: {len(chosen_runs)} runs", chosen_runs, options),
+        )
         return
     results = batch.run(chosen_runs, options.folder, options.cores, options.slurm)
-    report = evaluate(study, [_study_run(result) for result in results])
+    report = report_of_runs(study, [_study_run(result) for result in results])
     with batch.writable(options.folder):
         # An old picture would not match the new numbers.
         folders.remove(options.folder / name for name in study_picture.NAMES)
@@ -63,7 +66,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
         }
         written_files = study_report.write(report, description, options.folder)
         written_files += study_picture.draw(report, options.folder)
-    log.info("%s", study_report.table(report))
+    log.info("%s", study_report.table_of_study(report))
     log.info("%s: written in %s", ", ".join(written_files), options.folder)
     if all(r.exit_code for r in results):
         message = f"every run of the study failed:\n{results[0].message}"
@@ -78,7 +81,7 @@ def _selected_runs(planned: Sequence[PlannedRun], options: Options) -> list[Plan
     """
     lines: dict[str, list[PlannedRun]] = {}
     for r in planned:
-        lines.setdefault(study_file.line_of(r), []).append(r)
+        lines.setdefault(study_file.name_of_line(r), []).append(r)
     if not any(name and options.pattern in name for name in lines):
         line_names = ", ".join(filter(None, lines))
         raise InputError(
@@ -101,7 +104,7 @@ def _study_run(result: Result) -> StudyRun:
     cached = ("mesh", "compile", "error")
     time = timing["total"] - sum(timing.get(k, 0.0) for k in cached) if timing else None
     x, unit = _number(planned.case, key, planned.ranks)
-    return StudyRun(study_file.line_of(planned), result, key, label, x, unit, time)
+    return StudyRun(study_file.name_of_line(planned), result, key, label, x, unit, time)
 
 
 def _number(case: Case, key: str, ranks: int) -> tuple[float | None, str]:
@@ -124,7 +127,7 @@ def _number(case: Case, key: str, ranks: int) -> tuple[float | None, str]:
     return (x, unit) if 0 < x < math.inf else (None, "")
 
 
-def evaluate(study: Study, runs: Sequence[StudyRun]) -> Report:
+def report_of_runs(study: Study, runs: Sequence[StudyRun]) -> Report:
     """Compute errors, orders, Pareto fronts and advice from the runs of a study."""
     curve = [r for r in runs if r.line]
     ladder = [r for r in runs if not r.line]
@@ -154,7 +157,9 @@ def _measure(
         on_line = [i for i, r in enumerate(curve) if r.line == line]
         exponents[line] = wp.exponent([curve[i].x for i in on_line], [points[i] for i in on_line])
     front = wp.pareto([r.time for r in curve], [p.bound for p in points])
-    return Measured(name, quantities.find(name), compared, reference, points, exponents, front)
+    return Measured(
+        name, quantities.quantity_or_fail(name), compared, reference, points, exponents, front
+    )
 
 
 def _reference(study: Study, name: str, ladder: Sequence[StudyRun]) -> wp.ReferenceValue | None:
@@ -205,7 +210,7 @@ def _costs(
     costs: list[str] = []
     for part in TARGET_PARTS:
         level = part * target
-        best_row = wp.best([r.time for r in curve], errors, level)
+        best_row = wp.index_of_best([r.time for r in curve], errors, level)
         if best_row is None:
             return f"{NO_ADVICE} {title}: no run has a known error"
         r = curve[best_row]

@@ -12,7 +12,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from app.campaigns.study_report import Measured, Report, exponent_text
 from app.campaigns.work_precision import NOT_CONVERGING
-from app.case.quantities import in_words, titled
+from app.case.quantities import label_and_unit, label_with_unit
 from app.plots import curves, figures, labels
 from app.plots.curves import Line
 from app.plots.figures import PNG
@@ -66,19 +66,19 @@ def _draw(
     columns: int,
     size: tuple[float, float],
 ) -> None:
-    figure, all_axes = figures.panels(len(shown_quantities), columns, *size)
+    figure, all_axes = figures.figure_of_panels(len(shown_quantities), columns, *size)
     for axes, m in zip(all_axes, shown_quantities, strict=True):
         figures.grid(axes)
         panel(axes, m)
     figures.legend_below(figure, ENTRIES, last=curves.FAILED)
     figure.draw_without_rendering()  # so that the axes have their final positions
     for axes in all_axes:
-        labels.place(axes)
-    figures.save(figure, path, 130, PNG)
+        labels.place_labels(axes)
+    figures.save_figure(figure, path, 130, PNG)
 
 
 def _against_time(report: Report, axes: Axes, m: Measured) -> None:
-    figures.title(axes, in_words(m.name)[0])
+    figures.set_title(axes, label_and_unit(m.name)[0])
     axes.set(xscale="log", yscale="log", xlabel="run time (s)", ylabel="error")
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda t, _: f"{t:g}"))
@@ -95,7 +95,7 @@ def _against_time(report: Report, axes: Axes, m: Measured) -> None:
     _limits(axes, report, error)
     curves.level(axes, report.target, f"target {percent(report.target)}")
     if m.uncertainty:
-        curves.band(axes, axes.get_ylim()[0], m.uncertainty, "uncertainty of the reference")
+        curves.draw_band(axes, axes.get_ylim()[0], m.uncertainty, "uncertainty of the reference")
     if all(e is None for e in error):
         curves.remark(axes, "no known error")
 
@@ -148,7 +148,7 @@ def _limits(axes: Axes, report: Report, error: list[float | None]) -> None:
 
 def _over_number(report: Report, lines: dict[str, list[int]], axes: Axes, m: Measured) -> None:
     factor = m.quantity.factor
-    figures.title(axes, titled(m.name))
+    figures.set_title(axes, label_with_unit(m.name))
     axes.set(xscale="log", xlabel=_label(report, lines))
     drawn_rows = []
     if m.reference is not None:
@@ -156,7 +156,7 @@ def _over_number(report: Report, lines: dict[str, list[int]], axes: Axes, m: Mea
         drawn_rows.append(value)
         away = report.target * abs(value)
         label = f"reference ± {percent(report.target)}"
-        curves.band(axes, value - away, value + away, label)
+        curves.draw_band(axes, value - away, value + away, label)
     for k, (name, indices) in enumerate(lines.items()):
         values = {i: m.points[i].value for i in indices}
         known_values = {i: factor * v for i, v in values.items() if v is not None}

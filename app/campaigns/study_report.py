@@ -106,7 +106,7 @@ class Report:
         return [index >= 1.0 for index in indices if index is not None]
 
 
-def shown(value: float | None, q: Quantity) -> str:
+def value_with_unit(value: float | None, q: Quantity) -> str:
     """Format a value with its unit; a dash for None."""
     return "-" if value is None else f"{q.factor * value:.4g} {q.shown}".removesuffix(" -")
 
@@ -125,11 +125,11 @@ def exponent_text(report: Report, m: Measured, line: str) -> str:
     return f"{p:.1f}" if likely else NOT_CONVERGING
 
 
-def describe(reference: ReferenceValue | None, q: Quantity) -> str:
+def reference_in_words(reference: ReferenceValue | None, q: Quantity) -> str:
     """Return the reference value with its uncertainty and observed order, in words."""
     if reference is None:
         return "no reference: its runs failed or lack this number"
-    reference_text = f"reference {shown(reference.value, q)}"
+    reference_text = f"reference {value_with_unit(reference.value, q)}"
     if reference.method == "given":
         return f"{reference_text}, given"
     if reference.method == "of one run":
@@ -139,15 +139,18 @@ def describe(reference: ReferenceValue | None, q: Quantity) -> str:
     return f"{reference_text} ± {relative} ({reference.method}{order})"
 
 
-def table(report: Report) -> str:
+def table_of_study(report: Report) -> str:
     """Format the report for the terminal."""
     lines = []
     for m in report.quantities:
         estimates = m.compared and any(p.estimate is not None for p in m.points)
-        lines += ["", f"{m.name}: {describe(m.reference, m.quantity)}" if m.compared else m.name]
+        lines += [
+            "",
+            f"{m.name}: {reference_in_words(m.reference, m.quantity)}" if m.compared else m.name,
+        ]
         head = ["", "line", "at", "value", "error", "time", *["estimated", "index"] * estimates]
         rows = [_row(r, m, i)[: len(head)] for i, r in enumerate(report.runs)]
-        lines.append(layout.table(head, rows))
+        lines.append(layout.text_table(head, rows))
         keys = {r.line: r.key for r in report.runs}
         orders = []
         for name in m.exponents:
@@ -178,8 +181,8 @@ def _row(r: StudyRun, m: Measured, i: int) -> list[str]:
     below = "" if p.trusted or not error else "< "
     shown_error = "-" if error is None else f"{below}{percent(error)}"
     index = "" if p.effectivity is None else f"{p.effectivity:.2f}"
-    numbers = [shown(p.value, q), shown_error, duration(r.time or 0)]
-    return [*start, *numbers, shown(p.estimate, q), index]
+    numbers = [value_with_unit(p.value, q), shown_error, duration(r.time or 0)]
+    return [*start, *numbers, value_with_unit(p.estimate, q), index]
 
 
 def write(report: Report, about: Mapping[str, object], folder: Path) -> list[str]:

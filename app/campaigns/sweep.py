@@ -71,7 +71,9 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     sweep, planned = sweep_file.read(path, overrides)
     folder, name = options.folder, sweep.title or path.stem
     if options.dry_run:
-        log.info("%s", batch.plan(f"{name}: {len(planned)} cases", planned, options))
+        log.info(
+            "%s", batch.table_of_planned_runs(f"{name}: {len(planned)} cases", planned, options)
+        )
         return
     keys = list(dict.fromkeys(chain.from_iterable(p.point.varied for p in planned)))
     log.info("%s: %s", name, layout.several(len(planned), "case"))
@@ -89,7 +91,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
         }
         with batch.writable(folder):
             write_json(folder / "sweep.json", record)
-            write_text(folder / "sweep.csv", run_table.csv(rows, keys, "case"))
+            write_text(folder / "sweep.csv", run_table.csv_of_runs(rows, keys, "case"))
             # A copy, because the file may have changed since it was read.
             data = sweep.model_dump(mode="json", exclude_unset=True)
             write_text(folder / "sweep.yaml", yaml_file.to_yaml(data))
@@ -97,10 +99,10 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
 
     record = write(batch.run(planned, folder, options.cores, options.slurm, write))
     rows = record["cases"]
-    log.info("%s", run_table.text(rows))
+    log.info("%s", run_table.text_of_runs(rows))
     for note_line in layout.noted([(r["name"], r["notes"]) for r in rows]):
         log.warning("note: %s", note_line)
-    spread_table = uncertainty.table(record["uncertainty"])
+    spread_table = uncertainty.tables_of_spread(record["uncertainty"])
     if spread_table:
         log.info("\n%s", spread_table)
     log.info("sweep.csv and sweep.json are written in %s", folder)

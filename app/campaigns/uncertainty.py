@@ -265,7 +265,7 @@ def correlation(numbers: Sequence[float], inputs: Sequence[object]) -> float | N
     return float(np.sqrt(max(explained, 0.0)))
 
 
-def rows(part_spread: PartSpread) -> list[list[str]]:
+def rows_of_spread(part_spread: PartSpread) -> list[list[str]]:
     """Return the rows of a part below `HEAD`, the most uncertain number first.
 
     Numbers that vary by rounding only are left out.
@@ -288,7 +288,7 @@ def rows(part_spread: PartSpread) -> list[list[str]]:
         )
         numbers = [f"{value:.4g}" for value in (s["mean"], s["p5"], s["p95"])]
         table_rows.append(
-            [name, quantities.find(name).unit, *numbers, follows, partial_text or "-"]
+            [name, quantities.quantity_or_fail(name).unit, *numbers, follows, partial_text or "-"]
         )
     return table_rows
 
@@ -326,15 +326,15 @@ INDEX_HEAD = (
 )
 
 
-def table(spreads: Mapping[str, PartSpread]) -> str:
+def tables_of_spread(spreads: Mapping[str, PartSpread]) -> str:
     """Format the tables of all parts."""
     tables = []
     for part, part_spread in spreads.items():
         heading = f"{part or 'samples'}: {part_spread['samples']} samples"
-        tables.append(f"{heading}\n{layout.table(HEAD, rows(part_spread))}")
+        tables.append(f"{heading}\n{layout.text_table(HEAD, rows_of_spread(part_spread))}")
         if part_spread.get("indices"):
             heading = (
                 f"{part or 'samples'}: Sobol' indices of {part_spread['base_samples']} base samples"
             )
-            tables.append(f"{heading}\n{layout.table(INDEX_HEAD, index_rows(part_spread))}")
+            tables.append(f"{heading}\n{layout.text_table(INDEX_HEAD, index_rows(part_spread))}")
     return "\n".join(tables)

@@ -177,7 +177,7 @@ def pareto(costs: Sequence[float | None], errors: Sequence[float | None]) -> lis
     return [i for _, i in front]
 
 
-def best(
+def index_of_best(
     costs: Sequence[float | None], errors: Sequence[float | None], target: float
 ) -> int | None:
     """Return the index of the fastest point within the target, else of the point nearest to it.

@@ -216,9 +216,9 @@ class PlannedRun:
         """Plan a run of a file with overrides.
 
         Raises:
-            InputError: As `load`.
+            InputError: As `load_case`.
         """
-        case = load(file, overrides).config
+        case = load_case(file, overrides).config
         return cls(file, tuple(overrides), case, Point(name), ranks, needs_idle_machine, share)
 
 
@@ -268,7 +268,7 @@ class LoadedCase:
         return {output / v.name: v for v in self.variations} or {output: self.itself}
 
 
-def load(path: Path, overrides: Sequence[str] = (), option: str = "--set ") -> LoadedCase:
+def load_case(path: Path, overrides: Sequence[str] = (), option: str = "--set ") -> LoadedCase:
     """Read, check and resolve a case.
 
     Args:
@@ -330,7 +330,7 @@ def resolve(file: CaseFile, folder: Path) -> Case:
     """Check a case without its variations, and fill in defaults; paths are relative to a folder.
 
     Raises:
-        InputError: As `load`.
+        InputError: As `load_case`.
     """
     case, faults = valid_parts(file.data, folder)
     faults = [at_common_table(fault, file.common) for fault in faults]
@@ -384,14 +384,14 @@ def read_geometry(data: Mapping[str, object], folder: Path) -> Geometry | None:
     return valid_parts(data, folder)[0].geometry
 
 
-def plain(case: Case) -> YamlMapping:
+def plain_data(case: Case) -> YamlMapping:
     """A case without its variations as mappings, lists and scalars."""
     return case.model_dump(mode="json", exclude_none=True, exclude={"variations"})
 
 
 def dump(case: Case) -> str:
     """A case without its variations as YAML in internal units; it reads back equal."""
-    return yaml_file.to_yaml(plain(case))
+    return yaml_file.to_yaml(plain_data(case))
 
 
 def _renew() -> None:

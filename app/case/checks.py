@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Protocol, TypeVar
 
 from app.case.probes import StrainGauge
-from app.case.quantities import ADDED, PARTS, of_run
+from app.case.quantities import ADDED, PARTS, names_of_run_numbers
 from app.case.run_options import STAGE_KINDS, OutputOptions, Stage, TimeOptions
 from app.case.shapes import COMPANION, MOST_LINES, MeshOptions, Shape
 from app.foundation.verdict import Reason
@@ -163,33 +163,29 @@ def _names(case: CaseParts) -> Iterable[Fault]:
         *((("regions", name), "region", name) for name in case.regions or ()),
         *((("interfaces", name), "interface", name) for name in case.interfaces),
     ]
-    for section, name, entry in _entries(case, "interfaces", "motions"):
-        used_names.append(((section, name, "region"), "region", getattr(entry, "region", None)))
-        numbered_faces = enumerate(getattr(entry, "between", None) or ())
-        used_names += [
-            ((section, name, "between", i), "boundary", face) for i, face in numbered_faces
-        ]
+    for name, law in _valid(case.interfaces):
+        for i, face in enumerate(law.sliding_boundaries or ()):
+            used_names.append((("interfaces", name, "between", i), "boundary", face))
+    for name, motion in _valid(case.motions):
+        used_names.append((("motions", name, "region"), "region", motion.region))
     for section, name, entry in _entries(case, "supports", "loads", "heat"):
-        used_names.append(
-            ((section, name, "boundary"), "boundary", getattr(entry, "boundary", None))
-        )
-        numbered_regions = enumerate(getattr(entry, "regions", None) or ())
-        used_names += [
-            ((section, name, "regions", i), "region", region) for i, region in numbered_regions
-        ]
+        keys = dict(entry)  # the keys of a load from another package may be others
+        used_names.append(((section, name, "boundary"), "boundary", keys.get("boundary")))
+        for i, region in enumerate(keys.get("regions") or ()):
+            used_names.append(((section, name, "regions", i), "region", region))
     left_out = case.geometry.left_out
     used_names = [
         entry for entry in used_names if entry[2] not in left_out.get(str(entry[0][0]), ())
     ]
     if case.output is not None:
         for name, probe in (case.output.probes or {}).items():
-            for key in ("region", "boundary"):
-                used_names.append((("output", "probes", name, key), key, getattr(probe, key, None)))
+            probe_path = ("output", "probes", name)
+            used_names.append(((*probe_path, "region"), "region", probe.region))
+            used_names.append(((*probe_path, "boundary"), "boundary", probe.boundary))
         for name, path_keys in (case.output.paths or {}).items():
-            for key in ("region", "interface"):
-                used_names.append(
-                    (("output", "paths", name, key), key, getattr(path_keys, key, None))
-                )
+            keys_path, interface = ("output", "paths", name), path_keys.interface_name or None
+            used_names.append(((*keys_path, "region"), "region", path_keys.region))
+            used_names.append(((*keys_path, "interface"), "interface", interface))
     known_names = {"region": regions, "interface": interfaces, "boundary": boundaries}
     for path, kind_name, used_name in used_names:
         if used_name is not None and used_name not in known_names[kind_name]:
@@ -393,7 +389,7 @@ def _held(case: CaseParts) -> Iterable[Fault]:
             along_axes = "" if len(free_axes) == 3 else f" along {' and '.join(free_axes)}"
             message = f"no support holds the model{along_axes}{when}"
             remedy = "add a support: fixed, roller, displacement or foundation"
-            yield Fault(("supports",), message, remedy=remedy, code=Reason.LOOSE_BODY)
+            yield Fault(("supports",), message, remedy=remedy, code=Reason.FLOATING_BODY)
 
 
 @check()
@@ -485,7 +481,7 @@ def _sliding(case: CaseParts) -> Iterable[Fault]:
     is_cyclic = any(motion.cycle for _, motion in _valid(case.motions))
     for name, load in _valid(case.loads):
         is_cyclic |= load.cycle is not None
-        motion_name = getattr(load, "follows", None)
+        motion_name = load.followed_motion
         if motion_name is not None and motion_name not in motions:
             message = f"there is no motion '{motion_name}'{did_you_mean(motion_name, motions)}"
             yield Fault(("loads", name, "follows"), message)
@@ -511,7 +507,7 @@ def quantities(case: CaseParts, names: Mapping[Path, str]) -> Iterable[Fault]:
     known_owners = (*geometry.interface_sides, *geometry.region_names, *added_owners)
     for path, quantity in names.items():
         name = quantity.partition(".")[0]
-        if name not in known_owners and quantity not in of_run():
+        if name not in known_owners and quantity not in names_of_run_numbers():
             yield _unknown(path, "interface or region", name, known_owners, geometry.kind)
 
 
@@ -547,10 +543,11 @@ def _without_heat(case: CaseParts, all_valid: bool) -> Iterable[Fault]:
         if stage.takes_time:
             key = "steady" if stage.steady else "duration"
             yield Fault(("stages", i, key), f"a stage has a duration only for heat: {message}")
-    for name, law in case.interfaces.items():
-        for key in ("conductance", "friction_heating"):
-            if getattr(law, key, None) is not None:
-                yield Fault(("interfaces", name, key), message)
+    for name, law in _valid(case.interfaces):
+        if law.conductance is not None:
+            yield Fault(("interfaces", name, "conductance"), message)
+        if law.heated_by_friction is not None:
+            yield Fault(("interfaces", name, "friction_heating"), message)
 
 
 def _conductors(case: CaseParts, regions: Mapping[str, Material]) -> Iterable[Fault]:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import configs
 from app.case import library, quantities
 from app.case.case import Case
-from app.case.keys import Key, KeySection, all_keys, matches, sections
+from app.case.keys import Key, KeySection, all_keys, key_sections, matches
 from app.foundation.errors import InputError
 
 WIDTH = 96
@@ -137,14 +137,16 @@ def explained(key: str = "", options: Mapping[str, str] | None = None) -> str:
     if query in ("unit", "units"):
         return _units()
     if not query:
-        return "\n".join([*map(_line, sections()[0].keys), "", *map(library.listed, library.KINDS)])
+        return "\n".join(
+            [*map(_line, key_sections()[0].keys), "", *map(library.listed, library.KINDS)]
+        )
     typed_words = [word for word in key.split() if word.lower() not in WITHOUT_MEANING]
     explanations = _answers(query, options or {}) or _answers_to_all(typed_words)
     for word in reversed(typed_words):
         explanations = explanations or _answers(word, options or {})
     if explanations:
         return "\n\n".join(explanations)
-    nearest = ", ".join(_nearest(query, library.described())) or ", ".join(Case.model_fields)
+    nearest = ", ".join(_nearest(query, library.entries_as_text())) or ", ".join(Case.model_fields)
     raise InputError(f"{key}: is not a key, kind, result or term of mantle; nearest: {nearest}")
 
 
@@ -160,7 +162,7 @@ def _answers(query: str, options: Mapping[str, str]) -> list[str]:
     blocks = [block for target in targets for block in (*_keys(target), *_kind(target))]
     library_lists = [library.listed(t).replace("`", "") for t in targets if t in library.KINDS]
     blocks += library_lists
-    library_entry = library.described().get(query)
+    library_entry = library.entries_as_text().get(query)
     if library_entry and not blocks:
         blocks.append(library_entry)
     lines = [_results()[target] for target in targets if target in _results()]
@@ -249,7 +251,7 @@ def _keys(query: str) -> Iterator[str]:
 def _kind(query: str) -> Iterator[str]:
     """Explain a kind (``fixed``) in all sections, or in the section named before it."""
     section_path, _, name = query.rpartition(": ")
-    for section in sections():
+    for section in key_sections():
         if section.kind == name and (not section_path or section.path.startswith(section_path)):
             keys = [key.name for key in section.keys if key.name != "kind"]
             rows = {
@@ -263,7 +265,7 @@ def _kind(query: str) -> Iterator[str]:
 def _kinds(path: str) -> str:
     """The kinds of a section, each as an example with its required keys."""
     lines = []
-    for section in (s for s in sections() if f"{s.path}.kind" == path and s.kind):
+    for section in (s for s in key_sections() if f"{s.path}.kind" == path and s.kind):
         summary = re.split(r"[.] |\n", section.meaning.replace("`", ""))[0]
         for text in (_example_of(section), f"  {summary}"):
             lines.append(textwrap.indent(textwrap.fill(text, WIDTH, subsequent_indent="  "), "  "))
@@ -339,7 +341,7 @@ def _results() -> dict[str, str]:
 
 def _lines_on(words: Sequence[str]) -> Iterator[str]:
     """Kinds and keys with all words in their meaning."""
-    for section in sections():
+    for section in key_sections():
         if section.kind and all(word in section.meaning.lower() for word in words):
             heading = f"{section.path}: {section.kind}"
             meaning = textwrap.shorten(section.meaning.replace("`", ""), WIDTH - 20)

@@ -9,7 +9,7 @@ from pydantic import Field, ModelWrapValidatorHandler, PrivateAttr, model_valida
 
 from app.case.former_keys import FORMER_KEYS_OF_FEMURS, new_name
 from app.case.hips import INSIDE, MUSCLES, OF_BONE, Hip, InsertionOrBest, OperatedHip
-from app.case.shapes import MeshOptions, Point3, spread
+from app.case.shapes import MeshOptions, Point3, range_of_thickness
 from app.case.stems import Stem, StemFile, length
 from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
@@ -132,7 +132,7 @@ class _Femur(Hip):
     @model_validator(mode="after")
     def _consistent(self) -> _Femur:
         implant = self.implant
-        for field, message in implant.faults(spread(self.cement_thickness)[0]):
+        for field, message in implant.faults(range_of_thickness(self.cement_thickness)[0]):
             fail(message, at=("stem", field))
         if self.distal_cut_z >= implant.plug:
             message = f"is not below {self.plug_end}; expected below {implant.plug:g} mm"

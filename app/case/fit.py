@@ -186,10 +186,10 @@ class FitSearch(Section):
 def _check_name(name: str, path: tuple[str, ...]) -> None:
     """Check that a number exists and belongs to the model, at a path of the fit."""
     try:
-        quantities.find(name)
+        quantities.quantity_or_fail(name)
     except PydanticCustomError as error:
         fail((error.context or {})["text"], at=path)
-    if name in quantities.of_run():
+    if name in quantities.names_of_run_numbers():
         fail(f"{name} describes the run, not the model; expected a number of the model", at=path)
 
 
@@ -282,7 +282,7 @@ class FitProblem:
             base=self.content.base,
             varied=tuple(values),
         )
-        runs, faults = sweep.plan(self.file, self.path.parent, [point], self.overrides)
+        runs, faults = sweep.runs_and_faults(self.file, self.path.parent, [point], self.overrides)
         return [replace(run, share=True) for run in runs], faults
 
 
@@ -301,7 +301,7 @@ def read(path: Path, overrides: Sequence[str] = ()) -> FitProblem:
     if "fit" not in file.data or "geometry" in file.data:
         message = "expected a fit file: base: CASE, and fit with keys and targets"
         file.raise_all([Fault(("fit",) if "fit" in file.data else (), message)])
-    problem = FitProblem(sweep.content(file, FitFile), file, path, other_overrides)
+    problem = FitProblem(sweep.checked_content(file, FitFile), file, path, other_overrides)
     fit = problem.fit
     start_fractions = np.array([key.start_fraction for key in fit.keys.values()])
     runs, faults = problem.plan("start", start_fractions)

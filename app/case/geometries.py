@@ -15,7 +15,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
 from app.case.femurs import Femur, IntactFemur
-from app.case.gmsh_header import constants, content, counts, physical_names
+from app.case.gmsh_header import constants, content_hash, counts, physical_names
 from app.case.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
 from app.mesh_files import Pick
 from app.mesh_files.named import stamps
@@ -322,7 +322,7 @@ class MeshFile(Shape):
     @cached_property
     def content(self) -> str:
         """Hash of the file at the first access."""
-        return content(self.path)
+        return content_hash(self.path)
 
     @property
     def modified(self) -> float:
@@ -331,7 +331,7 @@ class MeshFile(Shape):
 
     def copy_files(self, folder: Path) -> str:
         """Copy the file, and files that it names, to a folder; return their hash."""
-        return content(self.path, folder)
+        return content_hash(self.path, folder)
 
 
 Geometry = Annotated[Shape, Kinds()]

@@ -100,7 +100,7 @@ def constants(path: Path) -> tuple[str, ...]:
     return tuple(name for block in blocks for name in CONSTANT.findall(block))
 
 
-def content(path: Path, copies: Path | None = None) -> str:
+def content_hash(path: Path, copies: Path | None = None) -> str:
     """Hash of a file and of the files that it names; copy them to a folder on demand."""
     digest = hashlib.sha256()
     for name in named.names(path):

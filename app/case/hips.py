@@ -19,7 +19,7 @@ from app.case.shapes import (
     Sides,
     Thickness,
     perimeter,
-    spread,
+    range_of_thickness,
 )
 from app.case.stems import Stem, StemFile
 from app.foundation.arrays import Bools, Floats
@@ -224,6 +224,11 @@ class Hip(Shape):
             """Position of the stem; None: along the shaft's axis."""
 
     @property
+    def medial_cut_height(self) -> float | None:
+        """The key `resection.height`."""
+        return self.resection.height
+
+    @property
     def femur(self) -> LayeredBone:
         """The bone before the operation, as `meshes.placement` describes it."""
         raise NotImplementedError
@@ -395,7 +400,7 @@ class Hip(Shape):
         lines_around, stem, below, (_, *bone) = self.grid(mesh).values()
         cells_through = (mesh.along_cement(self.cement_thickness), *bone)
         core = 3.0 * max(lines_around - 2.0, 0.041 * lines_around**2 + 1.5 * lines_around - 6.0)
-        cement = spread(self.cement_thickness)[1]
+        cement = range_of_thickness(self.cement_thickness)[1]
         filled_thickness = cement - self.widening
         open_ = 1.0 - _interpolated(filled_thickness, FILLED)
         unfilled_below = 1.0 - _interpolated(filled_thickness, FILLED_BELOW)
@@ -530,7 +535,7 @@ class OperatedHip(Hip):
         """The mantle around the stem, with a plug around its end; none without cement."""
         if not self.is_cemented:
             return ()
-        return (Mantle(spread(self.cement_thickness)[1], self.flanks_end),)
+        return (Mantle(range_of_thickness(self.cement_thickness)[1], self.flanks_end),)
 
     @property
     def interface_area(self) -> float:
@@ -540,7 +545,7 @@ class OperatedHip(Hip):
         flanks = 3.25 * (half_width + depth) * length
         if not self.is_cemented:
             return flanks
-        return 2.0 * flanks + 2.0 * math.pi * spread(self.cement_thickness)[1] * length
+        return 2.0 * flanks + 2.0 * math.pi * range_of_thickness(self.cement_thickness)[1] * length
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
         """Estimated number of tetrahedra, to 12 %."""

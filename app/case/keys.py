@@ -93,7 +93,7 @@ class KeySection:
 
 
 @cache
-def sections(root: type[BaseModel] = Case) -> list[KeySection]:
+def key_sections(root: type[BaseModel] = Case) -> list[KeySection]:
     """All sections of a case, sweep, study or fit with their keys, in the order of the file.
 
     Kinds added from outside the program are among them.
@@ -238,7 +238,7 @@ def _yaml(value: object) -> str:
 
 def all_keys() -> list[Key]:
     """All keys of a case, in the order of the file."""
-    return [key for section in sections() for key in section.keys]
+    return [key for section in key_sections() for key in section.keys]
 
 
 def matches(key: Key, path: str) -> bool:

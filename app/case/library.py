@@ -78,7 +78,7 @@ def listed(kind: str) -> str:
     return "\n".join([f"{kind}: {KINDS[kind]}", *lines])
 
 
-def described() -> dict[str, str]:
+def entries_as_text() -> dict[str, str]:
     """Text of each shipped entry with its source, as in the library, by name."""
     entries = re.finditer(ENTRY, SHIPPED.read_text(encoding="utf-8"), re.MULTILINE)
     return {entry[1]: textwrap.dedent(entry[0]).strip() for entry in entries}

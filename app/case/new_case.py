@@ -67,7 +67,7 @@ def write(
         name = "femur_cementless" if cementless else kind
         case_text = (FOLDER / f"{name}.yaml").read_text(encoding="utf-8")
         case_text = case_text.replace(STEMS["titanium"], STEMS[stem or "titanium"])
-    save(path, case_text)
+    save_case_text(path, case_text)
     return path
 
 
@@ -76,7 +76,7 @@ def yaml(path: Path) -> Path:
     return path if path.suffix in (".yaml", ".yml") else path.with_name(f"{path.name}.yaml")
 
 
-def save(path: Path, text: str) -> None:
+def save_case_text(path: Path, text: str) -> None:
     """Write a new file of a case.
 
     Raises:
@@ -89,12 +89,13 @@ def save(path: Path, text: str) -> None:
         raise InputError(
             f"{path}: exists already and was not changed; choose another name"
         ) from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        reason = (
-            "the folder is read-only" if getattr(error, "errno", 0) in (EROFS, EACCES) else reason
-        )
+    except OSError as error:
+        reason = error.strerror or error
+        if error.errno in (EROFS, EACCES):
+            reason = "the folder is read-only"
         raise InputError(f"{path}: cannot be written: {reason}") from error
+    except ValueError as error:  # a name with a null character
+        raise InputError(f"{path}: cannot be written: {error}") from error
 
 
 def add_from_labels(proposal: FromLabels) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import ConfigDict, model_validator
 
@@ -19,6 +19,7 @@ class Probe(Section):
     kind: Literal["point"] = "point"
     at: Point
     """Position."""
+    boundary: ClassVar[None] = None
     region: Name | None = None
     """Region of the point, if it is where two meet."""
 
@@ -37,6 +38,7 @@ class StrainGauge(Section):
     kind: Literal["strain_gauge"] = "strain_gauge"
     boundary: Name
     """Surface to which the gauge is glued."""
+    region: ClassVar[None] = None
     at: Point
     """Centre: the nearest point of the surface, at most a diameter away. With `towards` a point on
     the line of sight."""

@@ -846,7 +846,7 @@ add_section(
 )
 
 
-def of_run() -> list[str]:
+def names_of_run_numbers() -> list[str]:
     """Full names of the numbers of the run: cost and balances."""
     return [f"{section}.{key}" for section in RUN_SECTIONS for key in TABLE[section]]
 
@@ -861,12 +861,12 @@ def _tables(owner: str) -> Iterator[dict[str, Quantity]]:
 
 
 def quantity_of(name: str) -> Quantity | None:
-    """Quantity by its full name, ``<owner>.<key>`` or one of `of_run`; None if there is none."""
+    """Quantity by its name, ``<owner>.<key>`` or one of `names_of_run_numbers`; None if unknown."""
     owner, _, key = name.partition(".")
     return next((q for rows in _tables(owner) for q in rows.values() if key in q.names), None)
 
 
-def find(name: str) -> Quantity:
+def quantity_or_fail(name: str) -> Quantity:
     """A quantity as in `quantity_of`.
 
     Raises:
@@ -877,7 +877,7 @@ def find(name: str) -> Quantity:
         return q
     owner, _, key = name.partition(".")
     if owner in RUN_SECTIONS:
-        fail(f"{show(name)} is not one of {', '.join(of_run())}")
+        fail(f"{show(name)} is not one of {', '.join(names_of_run_numbers())}")
     known_names = dict.fromkeys(
         n for rows in _tables(owner) for q in rows.values() for n in q.names
     )
@@ -895,7 +895,7 @@ def place_in_words(place: str) -> str:
     return f"{PLACES[whole]} {part}" if whole else part
 
 
-def in_words(name: str) -> tuple[str, str]:
+def label_and_unit(name: str) -> tuple[str, str]:
     """A number's label, e.g. stem-cement slip, p99, and its unit as printed."""
     place, _, key = name.partition(".")
     place_words = place_in_words(place)
@@ -905,9 +905,9 @@ def in_words(name: str) -> tuple[str, str]:
     return f"{place_words} {key.replace(q.key, q.label)}", printed(q.shown)
 
 
-def titled(name: str) -> str:
+def label_with_unit(name: str) -> str:
     """A number's label with its unit in brackets, if it has one."""
-    number_title, unit = in_words(name)
+    number_title, unit = label_and_unit(name)
     return f"{number_title} ({unit})" if unit else number_title
 
 
@@ -917,7 +917,7 @@ def known_value(name: str, value: object, difference: bool = False) -> float:
     Raises:
         PydanticCustomError: It has another dimension.
     """
-    unit = find(name).unit
+    unit = quantity_or_fail(name).unit
     if difference and unit == "degC":
         unit = "K"
     kind: Plain | Dimension
@@ -948,7 +948,7 @@ def numbers_of(
             yield from ((section, f"{name}_{zone}", part) for zone, part in zones.items())
 
 
-def largest(numbers: Numbers, key: str) -> float:
+def maximum_with_parts(numbers: Numbers, key: str) -> float:
     """A maximum of an interface or a region with its parts; 0 if it is missing."""
     return max(part.get(key, 0.0) for part in (numbers, *(numbers.get(p, {}) for p in PARTS)))
 

@@ -62,7 +62,7 @@ def section_loads(case: Case, time: float) -> list[SectionLoad]:
     return sections
 
 
-def table(sections: list[SectionLoad]) -> str:
+def table_of_section_loads(sections: list[SectionLoad]) -> str:
     """Section loads as a text table, moments in N m."""
     # The last two: where the line of action of the force passes.
     head = ["z", "force x", "y", "z", "moment x", "y", "z", "line medial of shaft", "of head"]
@@ -72,4 +72,4 @@ def table(sections: list[SectionLoad]) -> str:
         + ["-" if v is None else f"{v:.0f}" for v in (s.medial_of_shaft, s.medial_of_head)]
         for s in sections
     ]
-    return layout.table(head, rows, units)
+    return layout.text_table(head, rows, units)

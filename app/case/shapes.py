@@ -130,7 +130,7 @@ class GradedThickness(Section):
                     f"is not enough; expected at least two of {', '.join(keys)}",
                     at=tuple(keys_given),
                 )
-        lowest, _, highest = (round(t, 9) for t in spread(self))
+        lowest, _, highest = (round(t, 9) for t in range_of_thickness(self))
         if lowest < LEAST_CEMENT or highest > MOST_CEMENT:
             fail(f"is {lowest:.3g} to {highest:.3g} mm by height and side; expected 1 to 8 mm")
         return self
@@ -150,7 +150,7 @@ Thickness = Annotated[
 ]
 
 
-def spread(thickness: float | GradedThickness) -> tuple[float, float, float]:
+def range_of_thickness(thickness: float | GradedThickness) -> tuple[float, float, float]:
     """Least, mean and largest thickness of a mantle (mm)."""
     if not isinstance(thickness, GradedThickness):
         return thickness, thickness, thickness
@@ -228,6 +228,11 @@ class Shape(Extensible):
     def interface_area(self) -> float:
         """Approximate area of all interfaces (mm2); 0 if unknown."""
         return 0.0
+
+    @property
+    def medial_cut_height(self) -> float | None:
+        """Height at which the neck cut leaves the medial cortex (mm); None without a cut."""
+        return None
 
     @property
     def stem_length(self) -> float:
@@ -454,7 +459,7 @@ class MeshOptions(Section):
         if not cement:
             return AROUND_IN_BONE * self.size
         wide, narrow = RIDGES
-        thickness = min(max(spread(cement)[1], narrow), wide)
+        thickness = min(max(range_of_thickness(cement)[1], narrow), wide)
         by_size = AROUND * self.size
         return min(by_size, max(by_size, RESOLVED) * math.sqrt(thickness / wide))
 
@@ -465,7 +470,9 @@ class MeshOptions(Section):
         """
         if cement == 0.0:
             return 0.0
-        return float(self.through_cement or max(2.0, 1.75 * spread(cement)[1] / self.size - 0.5))
+        return float(
+            self.through_cement or max(2.0, 1.75 * range_of_thickness(cement)[1] / self.size - 0.5)
+        )
 
     def cells_through(self, cement: Thickness) -> tuple[int, int, int]:
         """Cells at most through cement of a thickness (mm), cancellous and cortical bone."""

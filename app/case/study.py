@@ -25,7 +25,7 @@ CONDITION = "solver.condition"
 def _quantity(value: object) -> object:
     if not isinstance(value, str):
         fail(f"{show(value)} is not <interface>.<key>, <region>.<key> or stem.<key>")
-    quantities.find(value)
+    quantities.quantity_or_fail(value)
     return value
 
 
@@ -33,7 +33,7 @@ def _values(value: object) -> object:
     if not isinstance(value, dict):
         fail(f"{show(value)} is not a mapping of quantities to values")
     for quantity, reference_value in value.items():
-        if quantity in quantities.of_run():
+        if quantity in quantities.names_of_run_numbers():
             fail("has no reference value, as it describes the run; leave it out", at=(quantity,))
         try:
             quantities.known_value(quantity, reference_value)
@@ -90,7 +90,9 @@ class Study(Section):
 
     def compares(self, quantity: str) -> bool:
         """Return True if a quantity is compared with the reference, not only shown."""
-        return not quantities.find(quantity).exact or quantity in (self.reference.values or {})
+        return not quantities.quantity_or_fail(quantity).exact or quantity in (
+            self.reference.values or {}
+        )
 
 
 class StudyFile(Section):
@@ -125,7 +127,7 @@ class StudyFile(Section):
 REFERENCE = ("study", "reference", "run")
 
 
-def line_of(run: PlannedRun) -> str:
+def name_of_line(run: PlannedRun) -> str:
     """Name of the line of a run; empty for the reference."""
     return "" if run.point.path == REFERENCE else run.point.part
 
@@ -143,8 +145,8 @@ def _density(case: Case) -> tuple[float, str]:
 
 def _shared_meshes(study: Study, runs: Sequence[PlannedRun]) -> Iterator[Fault]:
     """Faults of a reference of several meshes: one that is judged too, or none that is finer."""
-    ladder = [r for r in runs if not line_of(r)]
-    judged_runs = {_density(r.case): r for r in reversed(runs) if line_of(r)}
+    ladder = [r for r in runs if not name_of_line(r)]
+    judged_runs = {_density(r.case): r for r in reversed(runs) if name_of_line(r)}
     if not judged_runs or all(r.case.mesh == ladder[0].case.mesh for r in ladder):
         return
     key = points.varying(study.reference.run or {})[0]
@@ -185,9 +187,11 @@ def read(
             "expected a study file: base: CASE, set, and study with quantities, lines, reference"
         )
         file.raise_all([Fault(("study",) if "study" in file.data else (), message)])
-    content = sweep.content(file, StudyFile)
+    content = sweep.checked_content(file, StudyFile)
     study = content.study
-    runs, problems = sweep.plan(file, path.parent, list(content.points()), other_overrides)
+    runs, problems = sweep.runs_and_faults(
+        file, path.parent, list(content.points()), other_overrides
+    )
     if runs:
         quantity_of_path: dict[yaml_file.Path, str] = {
             ("study", "quantities", i): name for i, name in enumerate(study.quantities)

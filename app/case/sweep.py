@@ -12,7 +12,7 @@ from typing import Annotated, TypeVar
 from pydantic import Field, ValidationError, model_validator
 
 from app.case import overlay, points
-from app.case.case import PlannedRun, load
+from app.case.case import PlannedRun, load_case
 from app.case.former_keys import KEY, check_version
 from app.case.points import MOST_CASES, Point, SweepPart, UncertainInputs
 from app.foundation.errors import InputError
@@ -79,13 +79,13 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[Planned
     for key, kind_and_command in kind_of_key.items():
         if key in file.data:
             raise InputError(f"{path}: this is a {kind_and_command} {path}")
-    sweep = content(file, Sweep)
-    planned, problems = plan(file, path.parent, sweep.points(), overrides)
+    sweep = checked_content(file, Sweep)
+    planned, problems = runs_and_faults(file, path.parent, sweep.points(), overrides)
     file.raise_all(problems)
     return sweep, [replace(run, share=True) for run in planned]
 
 
-def content(file: CaseFile, model: type[Content]) -> Content:
+def checked_content(file: CaseFile, model: type[Content]) -> Content:
     """The checked content of a sweep or study file.
 
     Raises:
@@ -100,7 +100,7 @@ def content(file: CaseFile, model: type[Content]) -> Content:
         raise  # unreachable: the faults were raised
 
 
-def plan(
+def runs_and_faults(
     file: CaseFile, folder: Path, all_points: Sequence[Point], overrides: Sequence[str]
 ) -> tuple[list[PlannedRun], list[Fault]]:
     """Check the case of each point; return the runs and the faults.
@@ -128,7 +128,7 @@ def plan(
         of_case = {k: v for k, v in point.changes.items() if k not in ("ranks", *given_values)}
         overrides_of_run = (*points.as_overrides(of_case), "variations={}", *other_overrides)
         try:
-            case = load(base, overrides_of_run).config
+            case = load_case(base, overrides_of_run).config
         except InputError as error:
             for message in error.messages:
                 fault = points.at_override(message, {key: point.places[key] for key in of_case})

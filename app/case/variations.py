@@ -14,7 +14,7 @@ from pydantic import BeforeValidator
 from app.case.points import short_keys
 from app.schema.section import MAPPING, Name, did_you_mean, fail, show
 from app.schema.yaml_file import CaseFile, YamlMapping, key_parts
-from app.system.layout import plain
+from app.system.layout import plain_text
 
 OF_LOADS = ("force", "at", "pressure", "density", "history", "status", "source")
 OF_SOLVER = ("augmentation_factor",)
@@ -56,7 +56,7 @@ def _section(value: dict[str, object]) -> dict[str, object]:
 Variations = Annotated[dict[Name, dict[str, object]], BeforeValidator(_section), MAPPING]
 
 
-def split(data: YamlMapping) -> tuple[dict[str, object], dict[str, object]]:
+def shared_and_varied(data: YamlMapping) -> tuple[dict[str, object], dict[str, object]]:
     """Split a resolved case into the data that variations share and those that may vary, by key."""
     shared_data = {key: value for key, value in data.items() if key not in ("title", "interfaces")}
     varied: dict[str, object] = {
@@ -89,5 +89,7 @@ def title_with_changes(title: str, file: CaseFile) -> str:
     changed_keys = {key: path for key, path in keys.items() if path[0] not in UNTITLED}
     short_names = short_keys(list(changed_keys))
     given_values = {name: file.given[key] for key, name in short_names.items()}
-    values = (f"without {k}" if v is None else f"{k} {plain(v)}" for k, v in given_values.items())
+    values = (
+        f"without {k}" if v is None else f"{k} {plain_text(v)}" for k, v in given_values.items()
+    )
     return f"{title}{CHANGED}{', '.join(values)}" if changed_keys else title

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING
 import meshes
 from app import extensions as extensions  # registers them
 from app.case import points
-from app.case.case import LoadedCase
-from app.case.case import load as load_case
+from app.case.case import LoadedCase, load_case
 from app.foundation.errors import (
     ConvergenceError,
     InputError,
@@ -89,7 +88,7 @@ def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
     """
     _refuse_path(case)
     memory.check(case.file, case.config)
-    size = cost.estimated_size(case.config, memory.available())
+    size = cost.estimated_size(case.config, memory.available_memory())
     notes = [*case.file.notes, *preview.input_notes(case.config)]
     output = case.config.output
     if meshed or output.probes or output.paths:
@@ -100,10 +99,10 @@ def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
             notes += well_posedness.check_on_mesh(
                 case.config, well_posedness.mesh_parts(case.config, data)
             )
-        size = cost.exact_size(case.config, data, memory.available())
+        size = cost.exact_size(case.config, data, memory.available_memory())
         room = case.config.geometry.room_details()
         size += f"\n  room around the stem: {room}" if room else ""
-    description = preview.describe(case.config, case.file.data)
+    description = preview.case_in_words(case.config, case.file.data)
     return CheckedCase(description, size, tuple(n for n in notes if n.text not in description))
 
 
@@ -179,7 +178,7 @@ def run(
         raise InputError("a loaded case already has a mesh; give the case as a dict")
     folder = Path(output) if output is not None else case.output
     with _in_words_of_python():
-        solve(
+        solve_for_command_line(
             case,
             folder,
             progress=progress,
@@ -192,7 +191,7 @@ def run(
     return read(folder)
 
 
-def solve(
+def solve_for_command_line(
     case: LoadedCase,
     folder: Path,
     *,

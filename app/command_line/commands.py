@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import meshes
 from app.case import explanations, gmsh_header, keys, new_case, overlay
-from app.case.case import LoadedCase, valid_parts
-from app.case.case import load as load_case
+from app.case.case import LoadedCase, load_case, valid_parts
 from app.command_line import actions
 from app.command_line.parser import options_of_commands, parser
 from app.command_line.streams import configure_log, painted, pass_colours
@@ -69,7 +68,7 @@ def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[
     options.overrides = overrides  # the list of the options is the next command's, too
     case = _load(options)
     output = options.output or case.output
-    walltime = stopping.seconds(options.walltime) if options.walltime else None
+    walltime = stopping.seconds_of_duration(options.walltime) if options.walltime else None
     if finished_runs.prepare(case, output, force=options.force, restart=options.restart):
         if rank() == 0:
             print(f"{output} has the finished results of this case already; --force runs it again")
@@ -87,7 +86,7 @@ def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[
             f"mantle: -n {count} is ignored: mpirun has started {size or 'some'} ranks",
             file=sys.stderr,
         )
-    actions.solve(
+    actions.solve_for_command_line(
         case,
         output,
         force=options.force,
@@ -212,7 +211,7 @@ def _mesh(options: argparse.Namespace) -> int:
     draw_case = partial(case_picture.draw, case.config)
     drawings: dict[Path, Callable[..., None]] = {path.with_suffix(".png"): draw_case}
     if case.config.geometry.mantles or case.config.geometry.laws_to_write:
-        for draw in (sections.sections, sections.interfaces):
+        for draw in (sections.draw_sections, sections.interfaces):
             file = path.with_name(f"{path.stem}_{draw.__name__}.png")
             is_mirrored = case.config.geometry.is_mirrored
             drawings[file] = partial(draw, title=sections.MIRRORED if is_mirrored else "")
@@ -224,7 +223,7 @@ def _mesh(options: argparse.Namespace) -> int:
             print(file)
     except OSError as error:
         raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error
-    print(cost.exact_size(case.config, data, memory.available()))
+    print(cost.exact_size(case.config, data, memory.available_memory()))
     for message in data.notes.get("messages", ()):
         print(f"note: {message}")
     return 0
@@ -373,7 +372,7 @@ def _explain(options: argparse.Namespace) -> int:
 
 
 def _doctor(options: argparse.Namespace) -> int:
-    print(doctor.report())
+    print(doctor.report_on_machine())
     return 0
 
 

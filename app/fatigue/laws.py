@@ -234,8 +234,7 @@ def level_of(case: Case) -> float | None:
     """Height of the surface of the resin [mm]; None if the case does not say it."""
     test = stem_test_of(case)
     assert test
-    resection = getattr(case.geometry, "resection", None)
-    return test.level if test.level is not None else getattr(resection, "height", None)
+    return case.geometry.medial_cut_height if test.level is None else test.level
 
 
 def fatigue_of(case: Case) -> Fatigue | None:

@@ -183,8 +183,8 @@ class CementRisk(Record):
             levels = self._borders(x) if self._borders else {}
             edges = reentrant_edges(self._tagged, region)
             if len(edges):
-                levels["edge"] = distance(x, edges) - NEAR
-            parts = divided(np.ones(len(x), dtype=bool), levels)
+                levels["edge"] = distance_from_edges(x, edges) - NEAR
+            parts = masks_by_level(np.ones(len(x), dtype=bool), levels)
             self._parts[region] = {p: a for p, a in parts.items() if self._comm.allreduce(a.sum())}
         numbers = {part: numbers_of(is_in_part) for part, is_in_part in self._parts[region].items()}
         return numbers.pop("", {}) | numbers
@@ -229,7 +229,7 @@ def reentrant_edges(tagged: TaggedMesh, region: str) -> Floats:
     return np.asarray(x[first_rows[(turning_angle > TURN) & (turning_angle < math.pi - 1e-3)]])
 
 
-def distance(x: Floats, edges: Floats) -> Floats:
+def distance_from_edges(x: Floats, edges: Floats) -> Floats:
     """Distance of points (n, 3) from the nearest of some edges (e, 2, 3) (n,) [mm]."""
     smallest_distance = np.full(len(x), np.inf)
     for a, b in edges:
@@ -239,7 +239,7 @@ def distance(x: Floats, edges: Floats) -> Floats:
     return smallest_distance
 
 
-def divided(whole: Bools, levels: Mapping[str, Floats]) -> dict[str, Bools]:
+def masks_by_level(whole: Bools, levels: Mapping[str, Floats]) -> dict[str, Bools]:
     """Divide a mask (n,) by levels (n,); the rest has the name "".
 
     A part is where its level is not positive and the level of no earlier part is.

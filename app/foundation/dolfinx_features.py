@@ -62,7 +62,7 @@ def facet_domain(kind: fem.IntegralType, topology: mesh.Topology, facets: Entiti
     return np.asarray(domain, dtype=np.int32)
 
 
-def exterior_facets(topology: mesh.Topology, facets: Entities) -> Entities:
+def exterior_facet_entities(topology: mesh.Topology, facets: Entities) -> Entities:
     """Integration entities of owned exterior facets: a cell and a local number each, flat."""
     return facet_domain(fem.IntegralType.exterior_facet, topology, facets)
 

@@ -42,12 +42,12 @@ def write_bytes(path: Path, content: bytes, mode: int = 0o666) -> None:
             os.close(folder)
 
 
-def parts(path: Path) -> list[Path]:
+def files_at(path: Path) -> list[Path]:
     """A file, or those in a folder, by name."""
     return sorted(filter(Path.is_file, path.iterdir())) if path.is_dir() else [path]
 
 
-def explain(error: BaseException) -> InputError | None:
+def error_of_refused_path(error: BaseException) -> InputError | None:
     """Error that explains why the system refuses a path; None for any other error."""
     if not isinstance(error, OSError) or error.errno not in REFUSED or error.filename is None:
         return None

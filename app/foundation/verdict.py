@@ -16,7 +16,7 @@ from typing import Any
 class Reason(StrEnum):
     """Reason of a failure, for programs: in brackets in the message."""
 
-    LOOSE_BODY = "loose-body"
+    FLOATING_BODY = "loose-body"
     """Nothing holds a body, or friction hardly does."""
     LARGE_DISPLACEMENT = "large-displacement"
     """Displacements are no longer small, though everything is held."""

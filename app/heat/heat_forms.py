@@ -22,7 +22,7 @@ from ufl.core.expr import Expr
 
 from app.foundation.arrays import Bools, Field, Floats, Ints
 from app.foundation.collective import everywhere
-from app.foundation.dolfinx_features import exterior_facets
+from app.foundation.dolfinx_features import exterior_facet_entities
 from app.laws.heat_conditions import Convection, FixedTemperature, HeatFlux, HeatSource, Perfusion
 from app.laws.thermal import Thermal
 from app.numerics.lifetime import function_space
@@ -162,7 +162,7 @@ class HeatForms:
             b: ufl.Measure(
                 "ds",
                 domain=self._mesh,
-                subdomain_data=[(1, exterior_facets(self._mesh.topology, facets))],
+                subdomain_data=[(1, exterior_facet_entities(self._mesh.topology, facets))],
             )(1)
             for b, facets in facets_by_body(self._tagged, self._bodies, boundary).items()
         }

@@ -21,7 +21,7 @@ from app.foundation.errors import InputError
 from app.heat.heat_forms import HeatForms
 from app.scene.bodies import cell_tags
 from meshes.distribute import TaggedMesh
-from meshes.location import place
+from meshes.location import cells_of_points
 
 # Position of a point [mm], and the region to which it belongs, or None for any region.
 ProbePoint = tuple[tuple[float, float, float], str | None]
@@ -186,10 +186,10 @@ def _locate(tagged: TaggedMesh, name: str, probe: ProbePoint) -> tuple[int, str,
     tags = cell_tags(tagged)[: tagged.mesh.topology.index_map(3).size_local]
     position, region = probe
     cells = np.flatnonzero(tags == tagged.regions[region]) if region else np.arange(len(tags))
-    # `place` expects the node order of gmsh.
+    # `cells_of_points` expects the node order of gmsh.
     nodes: Ints = np.empty((len(cells), geometry.dofmap.shape[1]), dtype=np.int64)
     nodes[:, cell_perm_array(CellType.tetrahedron, nodes.shape[1])] = geometry.dofmap[cells]
-    located = place(np.asarray(geometry.x, np.float64), nodes, np.array([position]))
+    located = cells_of_points(np.asarray(geometry.x, np.float64), nodes, np.array([position]))
     # MPI.MAX compares tuples: the deepest position wins, and ties go to the lowest rank.
     inside_margin, minus_rank = comm.allreduce((located.inside[0], -comm.rank), MPI.MAX)
     if inside_margin == -np.inf:
@@ -198,7 +198,7 @@ def _locate(tagged: TaggedMesh, name: str, probe: ProbePoint) -> tuple[int, str,
         return None
     region_of_tag = {tag: name_of_region for name_of_region, tag in tagged.regions.items()}
     cell = int(cells[located.cell[0]])
-    return cell, region_of_tag[int(tags[cell])], located.share[0]
+    return cell, region_of_tag[int(tags[cell])], located.barycentric[0]
 
 
 def outside_text(name: str, probe: ProbePoint) -> str:

@@ -22,7 +22,7 @@ from app.foundation.arrays import Floats, Ints
 from app.heat.heat_forms import HeatForms
 from app.interfaces.contact_points import contact_points
 from app.interfaces.corners import VertexConstraints
-from app.interfaces.interface_facets import InterfaceFacets, gather
+from app.interfaces.interface_facets import InterfaceFacets, gathered_arrays
 from app.numerics.pointwise import Pointwise
 from app.numerics.sparse import from_triplets, owners
 from app.scene.bodies import Bodies, contact_facets
@@ -138,6 +138,6 @@ def _vertex_constraints(
     vertex = facets.vertices.ravel()[corner[is_owned]]
     body, row = np.nonzero(condition_of_body[:, node] >= 0)
     condition = condition_of_body[body, node[row]]
-    vertex, body, condition = gather(forms.comm, vertex[row], body, condition)
+    vertex, body, condition = gathered_arrays(forms.comm, vertex[row], body, condition)
     support = np.repeat(condition[:, None], 3, axis=1)
     return VertexConstraints(vertex, body, support, rigid=np.zeros(len(vertex), dtype=bool))

@@ -58,7 +58,7 @@ from app.interfaces.corners import (
 from app.interfaces.faces import drop_prescribed, faces_around, projectors, shared
 from app.interfaces.interface_facets import InterfaceFacets
 from meshes.data import connected
-from meshes.facets import bends
+from meshes.facets import bends_of_edges
 
 # A direction is tangential to a face below this cosine with its normal.
 TANGENTIAL = 1e-6
@@ -450,7 +450,7 @@ def _edge_moves(
         facet_edge = first_rows % (3 * len(edges_of_facets))
         start = facets.x[:, starts].reshape(-1, 3)[facet_edge]
         end = facets.x[:, ends].reshape(-1, 3)[facet_edge]
-        bend = bends(start, end, facets.nodes[:, 3:].reshape(-1, 3)[facet_edge])
+        bend = bends_of_edges(start, end, facets.nodes[:, 3:].reshape(-1, 3)[facet_edge])
     # A component that is prescribed at both ends may also be constrained in the middle: no bend.
     vertices, first_points, vertex_row = np.unique(
         points.vertex, return_index=True, return_inverse=True

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.foundation.arrays import Bools, Floats, Ints
-from meshes.facets import surface
+from meshes.facets import normals_and_areas
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -64,7 +64,7 @@ class InterfaceFacets:
         return ~np.isin(self.interface, self.interface[bent])
 
 
-def gather(comm: MPI.Comm, *arrays: NDArray) -> list[NDArray]:
+def gathered_arrays(comm: MPI.Comm, *arrays: NDArray) -> list[NDArray]:
     """Concatenate each array over the ranks, on every rank; collective."""
     arrays_of_ranks = comm.allgather(arrays)
     return [np.concatenate(parts) for parts in zip(*arrays_of_ranks, strict=True)]
@@ -97,14 +97,14 @@ def sorted_facets(
     flat_normals = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     # +1 if the normal by the order of the vertices is directed to the slave, else -1.
     sign = np.sign(np.einsum("fi,fi->f", flat_normals, inside_slave[rows] - x[:, 0]))
-    _, area = surface(x, QUADRATURE)
+    _, area = normals_and_areas(x, QUADRATURE)
     return InterfaceFacets(
         interface=interface[rows],
         vertices=vertices,
         bodies=bodies[rows],
         dofs=dofs,
         nodes=x,
-        normal=surface(x, np.eye(3))[0] * sign[:, None, None],
+        normal=normals_and_areas(x, np.eye(3))[0] * sign[:, None, None],
         area=np.einsum("fq,qi->fi", area, QUADRATURE) / (2 * len(QUADRATURE)),
         stiffness=stiffness[rows],
         rounded_angle=rounded_angle[rows],

@@ -15,6 +15,7 @@ from app.laws.interface_laws import (
     SMALL_SLIDING_ONLY,
     AtPoint,
     Frictional,
+    GapKeys,
     SurfaceZone,
 )
 from app.laws.thermal import FrictionHeating
@@ -105,23 +106,27 @@ class Unilateral(Frictional):
         return max([self.friction_coefficient, *(μ for μ in zones if μ is not None)])
 
     @property
+    def gaps(self) -> Mapping[tuple[str, ...], GapKeys]:
+        """The interface and its zones, by the path of their keys below the law."""
+        gaps: dict[tuple[str, ...], GapKeys] = {(): self}
+        gaps |= {("zones", name): zone for name, zone in self.surface_zones.items()}
+        return gaps
+
+    @property
     def has_gap(self) -> bool:
         """True if a key gives a gap or an interference."""
-        surfaces: list[Unilateral | SurfaceZone] = [self, *self.surface_zones.values()]
-        return any(surface.gap or surface.interference for surface in surfaces)
+        return any(surface.gap or surface.interference for surface in self.gaps.values())
 
     @property
     def is_press_fit(self) -> bool:
         """True if `interference` is given, of the interface or of a zone."""
-        surfaces: list[Unilateral | SurfaceZone] = [self, *self.surface_zones.values()]
-        return any(surface.interference is not None for surface in surfaces)
+        return any(surface.interference is not None for surface in self.gaps.values())
 
     @property
     def interferes(self) -> bool:
         """True if an interference or a negative gap is given, of the interface or of a zone."""
-        surfaces: list[Unilateral | SurfaceZone] = [self, *self.surface_zones.values()]
         return self.is_press_fit or any(
-            isinstance(surface.gap, float) and surface.gap < 0.0 for surface in surfaces
+            isinstance(surface.gap, float) and surface.gap < 0.0 for surface in self.gaps.values()
         )
 
     @property
@@ -160,11 +165,9 @@ class Unilateral(Frictional):
     @property
     def table_heights(self) -> Mapping[tuple[str, ...], tuple[float, ...]]:
         """Heights in the tables of the interface and of its zones [mm]."""
-        surfaces: dict[tuple[str, ...], Unilateral | SurfaceZone] = {(): self}
-        surfaces |= {("zones", name): zone for name, zone in self.surface_zones.items()}
         return {
             (*path, "interference"): tuple(height for height, _ in surface.interference)
-            for path, surface in surfaces.items()
+            for path, surface in self.gaps.items()
             if isinstance(surface.interference, tuple)
         }
 

@@ -57,7 +57,7 @@ def table_of(law: str | DensityLaw) -> tuple[str, Table]:
     return LAWS[law] if isinstance(law, str) else (law.density, law.ranges)
 
 
-def modulus(law: str | DensityLaw, density: ArrayLike) -> Floats:
+def modulus_of_density(law: str | DensityLaw, density: ArrayLike) -> Floats:
     """Young's modulus [MPa] for densities [g/cm3] of the law's kind."""
     rho = np.maximum(density, LEAST)
     start, a, b, c = np.transpose(table_of(law)[1])

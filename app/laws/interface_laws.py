@@ -30,7 +30,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Hashable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, get_args
 
 import numpy as np
 from pydantic import model_validator
@@ -158,6 +158,18 @@ class GapState:
     frozen: Expr
 
 
+class GapKeys(Protocol):
+    """A surface with a gap or an interference: an interface or a zone of it."""
+
+    @property
+    def gap(self) -> float | str | None:
+        """Initial gap [mm], or an expression; None for that of the interface."""
+
+    @property
+    def interference(self) -> float | str | tuple[tuple[float, float], ...] | None:
+        """Radial interference [mm], an expression, or pairs of height and length [mm]."""
+
+
 class InterfaceLaw(Extensible):
     """Base of the interface laws. Each subclass with a `kind` is a law.
 
@@ -242,6 +254,11 @@ class InterfaceLaw(Extensible):
         return 0.0
 
     @property
+    def friction_outside_zones(self) -> float:
+        """Friction coefficient of the interface where no zone has another one [-]."""
+        return 0.0
+
+    @property
     def heated_by_friction(self) -> FrictionHeating | None:
         """Heating of the sides by friction; None if friction heats no side."""
         return None
@@ -283,6 +300,14 @@ class InterfaceLaw(Extensible):
     @property
     def surface_zones(self) -> Mapping[str, SurfaceZone]:
         """Zones of a stem's surface, by name; none by default."""
+        return {}
+
+    @property
+    def gaps(self) -> Mapping[tuple[str, ...], GapKeys]:
+        """The interface and its zones with their gaps, by the path of their keys below the law.
+
+        A law without gap has none.
+        """
         return {}
 
     @property
@@ -428,6 +453,11 @@ class Frictional(InterfaceLaw):
 
     @property
     def friction(self) -> float:
+        """The key `friction_coefficient`."""
+        return self.friction_coefficient
+
+    @property
+    def friction_outside_zones(self) -> float:
         """The key `friction_coefficient`."""
         return self.friction_coefficient
 

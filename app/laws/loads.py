@@ -127,6 +127,11 @@ class Load(Extensible, Named):
         return None
 
     @property
+    def followed_motion(self) -> str | None:
+        """Motion with which the direction of the load rotates; None for a direction in space."""
+        return None
+
+    @property
     def normal_pressure(self) -> float | None:
         """Pressure on its boundaries [MPa]; None for other loads."""
         return None
@@ -171,7 +176,7 @@ class Load(Extensible, Named):
         """Multiplier at a time (stage k runs from k to k + 1) [-]."""
         return self._followed(time) if self._followed else amplitude(self.history, time)
 
-    def follow(self, amplitude_at: Callable[[float], float]) -> None:
+    def set_amplitude(self, amplitude_at: Callable[[float], float]) -> None:
         """Let the multiplier follow a function of time instead of the history."""
         self._followed = amplitude_at
 
@@ -244,6 +249,11 @@ class Force(Load):
     def cycle(self) -> CycleTable | None:
         """The key `cycle_table`."""
         return self.cycle_table
+
+    @property
+    def followed_motion(self) -> str | None:
+        """The key `follows`."""
+        return self.follows
 
     @property
     def force_magnitudes(self) -> tuple[float, ...]:

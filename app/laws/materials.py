@@ -125,6 +125,14 @@ class Material(OfRegion):
         return ()
 
     @property
+    def axial_moduli(self) -> tuple[float, ...]:
+        """Axial Young's moduli [MPa]: the values of a table over the height, otherwise the largest.
+
+        None unless it deforms.
+        """
+        return self.moduli[:1]
+
+    @property
     def nearly_incompressible(self) -> bool:
         """True if linear tetrahedra of this material lock."""
         return False
@@ -253,6 +261,12 @@ class Isotropic(Elastic):
         if isinstance(E, tuple):
             return (max(value for _, value in E),)
         return (E.largest if isinstance(E, ModulusField) else E,)
+
+    @property
+    def axial_moduli(self) -> tuple[float, ...]:
+        """The values of the key `youngs_modulus` if it is a table, otherwise the largest [MPa]."""
+        E = self.youngs_modulus
+        return tuple(value for _, value in E) if isinstance(E, tuple) else self.moduli
 
     @property
     def modulus_field(self) -> ModulusField | None:  # type: ignore[override]

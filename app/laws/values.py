@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Discriminator, PrivateAttr, Tag
 from pydantic_core import PydanticCustomError
 
 from app.foundation.errors import InputError
-from app.schema.expressions import Varying, evaluate
+from app.schema.expressions import Varying, values_at_points
 from app.schema.section import ITEMS, UNION_TAG, Pair, Section, Text, fail
 from app.schema.units import Dimension, Length, NonNegativeInteger, Number, Part, PositiveLength
 
@@ -187,7 +187,7 @@ def field(key: str, value: float | str | Field, mark: Varying | None = None) -> 
         if not isinstance(value, str):
             return np.full(len(x), value)
         try:
-            values = evaluate(value, x)
+            values = values_at_points(value, x)
             if mark is not None and len(values):
                 for k in {int(values.argmin()), int(values.argmax())}:
                     place = ", ".join(f"{c:g}" for c in x[k])

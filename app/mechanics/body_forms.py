@@ -32,9 +32,9 @@ from ufl.core.expr import Expr
 
 from app.foundation.arrays import Field, Floats
 from app.foundation.collective import everywhere
-from app.foundation.dolfinx_features import exterior_facets
+from app.foundation.dolfinx_features import exterior_facet_entities
 from app.foundation.errors import InputError
-from app.laws.densities import density, modulus
+from app.laws.densities import density, modulus_of_density
 from app.laws.loads import Patch
 from app.laws.materials import Elastic
 from app.numerics.lifetime import function_space
@@ -43,7 +43,7 @@ from app.scene.scene import Scene
 from app.system.timing import Timing
 from forms import elasticity
 from meshes.distribute import TaggedMesh
-from meshes.facets import shape_functions, surface
+from meshes.facets import facet_shape_functions, normals_and_areas
 
 # Cells, or facets as pairs of a cell and a local number, by number of the subdomain.
 Domains = list[tuple[int, NDArray[np.int32]]]
@@ -67,7 +67,7 @@ class SurfaceMeasure:
         for name in sorted(boundaries):
             for b, facets in facets_by_body(tagged, bodies, name).items():
                 self._number[name, b] = len(self.facets) + 1
-                entities = exterior_facets(tagged.mesh.topology, facets)
+                entities = exterior_facet_entities(tagged.mesh.topology, facets)
                 self.facets.append((len(self.facets) + 1, entities))
         self._measure = ufl.Measure("ds", domain=tagged.mesh, subdomain_data=self.facets)
 
@@ -255,7 +255,7 @@ class BodyForms:
         changing_density = e.changing_density
         if changing_density:
             values = (
-                modulus(
+                modulus_of_density(
                     changing_density.law, self.density_at(e.region, points_of_rule, self.density)
                 )
                 / e.moduli[0]
@@ -386,8 +386,8 @@ class BodyForms:
         rule = basix.make_quadrature(basix.CellType.triangle, MOMENT_DEGREE)
         points, weights = (np.asarray(a) for a in rule)
         L = linear_shape_functions(points)
-        _, size = surface(x, L)
-        positions = np.einsum("qn,fni->fqi", shape_functions(L, x.shape[1]), x)
+        _, size = normals_and_areas(x, L)
+        positions = np.einsum("qn,fni->fqi", facet_shape_functions(L, x.shape[1]), x)
 
         def integral(values: Floats) -> Floats:
             local = np.einsum("q,fq,fq...->...", weights, size, values)

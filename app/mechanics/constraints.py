@@ -17,7 +17,7 @@ from dolfinx import fem
 from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.collective import everywhere
 from app.foundation.errors import InputError
-from app.interfaces.interface_facets import gather
+from app.interfaces.interface_facets import gathered_arrays
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.followers import Followers
 from app.numerics.rigid_motions import rigid_modes
@@ -127,7 +127,7 @@ class Constraints:
         if self.transforms:
             self._build_transformation(body_forms, support_of, frames)
             self._P_without_followers = self._P
-            self.follow()
+            self.update_followers()
             return
         self.constrained: Bools = support_of.ravel() >= 0
         prescribed = _prescribed_values(scene, space, support_of, None)
@@ -262,12 +262,12 @@ class Constraints:
             Displacement of the nodes by the unknowns (n, 3, 6), and the number of constrained
             unknowns, which come first.
         """
-        points = gather(comm, x)[0]
+        points = gathered_arrays(comm, x)[0]
         centre, scale = points.mean(axis=0), np.ptp(points, axis=0).max() or 1.0
         local = rigid_modes((x - centre) / scale)
         is_held = support_of >= 0
         held_rows = (axes.swapaxes(1, 2) @ local)[is_held]
-        rows, *prescribed_values = gather(
+        rows, *prescribed_values = gathered_arrays(
             comm, held_rows, *(values[is_held] for values in prescribed)
         )
         motion = scene.motion_of((region,))
@@ -296,7 +296,7 @@ class Constraints:
             self.modes[:, first_unknown : first_unknown + 6] = (basis.T @ model_modes).T
         return local @ basis, constrained_count
 
-    def follow(self) -> None:
+    def update_followers(self) -> None:
         """Let nodes follow the current pairs of their surfaces; collective."""
         if self._followers:
             self._P = self._followers.matrix().matMult(self._P_without_followers)

@@ -30,7 +30,7 @@ from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import InputError
 from app.interfaces.contact_points import contact_points
 from app.interfaces.corners import BY_RIGID_REGION
-from app.interfaces.interface_facets import gather
+from app.interfaces.interface_facets import gathered_arrays
 from app.laws.values import amplitude, gap_at, gap_settled
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact_motions import ContactMotions
@@ -38,8 +38,8 @@ from app.mechanics.contact_state import (
     ContactState,
     LocalPoints,
     prescribed_jump,
-    refuse_loose_regions,
     refuse_supports,
+    refuse_supports_of_free_regions,
     with_rigid_regions,
 )
 from app.mechanics.finite_sliding import PAIRING_ACCURACY, FiniteSliding
@@ -236,7 +236,7 @@ class ContactInterfaces:
         if scene.rigid:
             constraints_of_stages = stiffness.constraints_of_stages()
             holds = with_rigid_regions(body_forms, constraints_of_stages, self.facets, holds, axes)
-            refuse_loose_regions(scene, bodies, holds, self.facets, axes)
+            refuse_supports_of_free_regions(scene, bodies, holds, self.facets, axes)
         self.points, entries = contact_points(
             self.facets, holds, [c.name for c in scene.contacts], axes
         )
@@ -361,7 +361,10 @@ class ContactInterfaces:
         self.gap = gap_vectors(local.normals, gap)
 
     def update_pairs(self, trial: TrialState) -> bool:
-        """Pair points with finite sliding anew if their gaps are wrong in a state; collective."""
+        """Pair points if errors of gaps change pressures by more than `PAIRING_ACCURACY`.
+
+        Collective. Returns True if points were paired.
+        """
         if self.finite_sliding is None:
             return False
         rows = self.finite_sliding.rows
@@ -417,7 +420,7 @@ class ContactInterfaces:
         Returns:
             True if interfaces are constrained.
         """
-        # Filled below: the law has it already, as `ContactMotions.floating_bodies` reads it.
+        # Filled below. The laws have it already: `ContactMotions` reads it there.
         constrained = np.zeros(len(self.local), dtype=bool)
         self.laws.constrained = constrained
         gap = self._clearance.copy()
@@ -435,7 +438,7 @@ class ContactInterfaces:
                 continue
             if has_touching:
                 if floating is None:
-                    floating = self.motions.floating_bodies(is_touching)
+                    floating = self.motions.numbers_of_floating_bodies(is_touching)
                 bodies = {int(b) for b in np.unique(self.points.bodies[self.points.interface == i])}
                 if bodies.isdisjoint(floating):
                     continue
@@ -500,7 +503,7 @@ class ContactInterfaces:
 
     def gather(self, values: Floats) -> Floats:
         """Gather values (n, ...) of local points to the values of all points; collective."""
-        return np.asarray(gather(self.comm, values)[0][self._number_of_point])
+        return np.asarray(gathered_arrays(self.comm, values)[0][self._number_of_point])
 
     @property
     def row_keys(self) -> Ints:

@@ -1,7 +1,8 @@
 """Rigid motions of bodies at the contact points, and what resists them.
 
-Nothing resists a *free* motion. Only points that are open could resist a *loose* one. A body
-*floats* if it has a loose motion at the start.
+Nothing resists an *unresisted* motion, neither supports nor points, open or touching. A body
+*floats* if it has a motion that neither supports nor touching points resist. Open points may still
+stop such a motion.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class ContactMotions:
         points: All contact points.
         local: The points of this rank.
         law: Laws at the points of this rank.
-        has_finite_sliding: True if points slide far; then no motion is free or loose.
+        has_finite_sliding: True if points slide far; then all motions are resisted.
     """
 
     # Resistance of the active supports to rigid motions, by body.
@@ -62,8 +63,8 @@ class ContactMotions:
         """Forget the resistance of supports, because other supports act."""
         self._support_resistance = None
 
-    def floating_bodies(self, touched: Bools) -> set[int]:
-        """Bodies with a rigid motion that neither supports nor touching points hold; collective.
+    def numbers_of_floating_bodies(self, touched: Bools) -> set[int]:
+        """Numbers of bodies that neither supports nor touching points hold; collective.
 
         Friction and bonds hold a touching point in all directions, otherwise its faces hold it.
         """
@@ -75,7 +76,7 @@ class ContactMotions:
         )
         return {int(body) for body in np.flatnonzero(takes_part)}
 
-    def free(self, status: Ints) -> Floats:
+    def unresisted(self, status: Ints) -> Floats:
         """Rigid motions that nothing resists in a state (6 bodies, k); collective.
 
         In such a motion bodies slide along all their faces, touching or not. No touching point with
@@ -91,18 +92,18 @@ class ContactMotions:
         stick = self._touching_points(status) & self._resists_all_jumps
         return self._weakly_resisted_motions(stick, ~stick, ZERO_RESISTANCE)
 
-    def loose(self, status: Ints) -> Floats:
+    def resisted_by_open_points(self, status: Ints) -> Floats:
         """Rigid motions that only open points resist (6 bodies, k); collective.
 
-        The motions of `free`, which no point resists, are not among them.
+        The motions of `unresisted` are not among them.
         """
         if self._has_finite_sliding:
             return np.zeros((6 * self._body_count, 0))
         touch = self._touching_points(status)
-        loose = self._weakly_resisted_motions(
+        free_motions = self._weakly_resisted_motions(
             touch & self._resists_all_jumps, touch & ~self._resists_all_jumps, FREE_RESISTANCE
         )
-        return motions_outside(loose, self.free(status))
+        return motions_outside(free_motions, self.unresisted(status))
 
     def _touching_points(self, status: Ints) -> Bools:
         """Mask of points that touch in a state, or are constrained (n,)."""

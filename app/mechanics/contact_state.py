@@ -11,7 +11,7 @@ from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import InputError
 from app.interfaces.corners import BY_RIGID_REGION, ContactPoints, VertexConstraints
 from app.interfaces.faces import projectors
-from app.interfaces.interface_facets import InterfaceFacets, gather
+from app.interfaces.interface_facets import InterfaceFacets, gathered_arrays
 from app.laws.supports import Support
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.constraints import Constraints
@@ -211,7 +211,7 @@ def with_rigid_regions(
         body = np.full(len(rigid_vertices), bodies.body_of_region[region])
         support = np.where(is_prescribed, BY_RIGID_REGION, -1)
         rows = vertex[rigid_vertices], body, support, np.ones(len(rigid_vertices), dtype=bool)
-        vertices, body_numbers, supports, is_rigid = gather(body_forms.mesh.comm, *rows)
+        vertices, body_numbers, supports, is_rigid = gathered_arrays(body_forms.mesh.comm, *rows)
         all_holds.append((vertices, body_numbers, supports, is_rigid))
     # A rigid region replaces supports of its body at the same vertex.
     columns = [np.concatenate(column) for column in zip(*reversed(all_holds), strict=True)]
@@ -220,7 +220,7 @@ def with_rigid_regions(
     return VertexConstraints(*(column[first_rows] for column in columns))
 
 
-def refuse_loose_regions(
+def refuse_supports_of_free_regions(
     scene: Scene,
     bodies: Bodies,
     holds: VertexConstraints,

@@ -26,14 +26,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
-from app.interfaces.interface_facets import gather
+from app.interfaces.interface_facets import gathered_arrays
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact_state import LocalPoints
 from app.mechanics.followers import Followers
 from app.numerics.rigid_motions import rotation_vector
 from app.scene.scene import Scene
 
-# Points are paired anew if the pressure may be wrong by this fraction of the largest.
+# Points are paired with their closest facets if errors of gaps may change a pressure by more than
+# this fraction of the largest.
 PAIRING_ACCURACY = 1e-3
 
 
@@ -119,7 +120,7 @@ class FiniteSliding:
             point_number = self._points.rows[
                 self.rows[at_interface]
             ]  # in the order of the vertices
-            point_number, x = gather(self._comm, point_number, positions[at_interface])
+            point_number, x = gathered_arrays(self._comm, point_number, positions[at_interface])
             self.followers.find_pairs(i, x[np.argsort(point_number)])
         return self.paired
 

@@ -223,7 +223,7 @@ class Problem:
         if self.contact:
             self.contact.set_time(self.load_time)
         if self.sliding:
-            self.sliding.follow()
+            self.sliding.follow_pairs()
         self._set_forces(self.load_time)
 
     def _set_forces(self, load_time: float) -> None:
@@ -312,7 +312,7 @@ class Problem:
         return trial
 
     def update_pairs(self, u: PETSc.Vec, q: PETSc.Vec | None) -> bool:
-        """Pair surfaces with finite sliding anew if their gaps are wrong in a state; collective."""
+        """As `SlidingBodies.update_pairs`; False without finite sliding; collective."""
         if q is None or self.sliding is None:
             return False
         trial = self.trial(u, q)

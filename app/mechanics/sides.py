@@ -9,12 +9,12 @@ import numpy as np
 from dolfinx import fem
 
 from app.foundation.arrays import Floats, Ints
-from app.interfaces.interface_facets import gather
+from app.interfaces.interface_facets import gathered_arrays
 from app.mechanics.analytical_surfaces import AnalyticalSurface, fit_surface
 from app.mechanics.pairs import SmoothSurface, orient
 from app.scene.bodies import boundary_facets, facet_nodes
 from meshes.distribute import TaggedMesh
-from meshes.facets import bends
+from meshes.facets import bends_of_edges
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Side:
     def of(cls, tagged: TaggedMesh, space: fem.FunctionSpace, boundary: str) -> Side:
         """Gather a boundary on every rank; collective."""
         nodes = facet_nodes(tagged, space, boundary_facets(tagged, boundary))
-        numbers, dofs, x, inside = gather(tagged.mesh.comm, *nodes)
+        numbers, dofs, x, inside = gathered_arrays(tagged.mesh.comm, *nodes)
         # The same on any number of ranks.
         order = np.lexsort(np.sort(numbers, axis=1).T)
         numbers, dofs, x, inside = numbers[order], dofs[order], x[order], inside[order]
@@ -55,7 +55,7 @@ class Side:
         edges, middle = edges.reshape(-1, 3)[first_edge], x[:, 3:].reshape(-1, 3)
         outward, x = x[:, 0] - inside, x[:, :3].reshape(-1, 3)[first_rows]
         a, b = x[edges[:, 1:]].transpose(1, 0, 2)
-        bending = bends(a, b, middle[first_edge] if len(middle) else (a + b) / 2)
+        bending = bends_of_edges(a, b, middle[first_edge] if len(middle) else (a + b) / 2)
         halves = np.eye(3) / 2 + np.stack([-bending, bending])
         return cls(vertices, x, orient(x, triangles, outward), outward, edges, halves)
 

@@ -1,7 +1,8 @@
-"""State of bodies with finite sliding, as they rotate and are paired anew.
+"""State of bodies with finite sliding, as they rotate and as their points change facets.
 
-Nodes of a slave follow the master (`mechanics.followers`). In other pairs the same displacement has
-other unknowns and jumps. A step begins at the committed displacements, in the current pairs.
+Nodes of a slave follow the facets of the master with which they are paired
+(`mechanics.followers`). If a node is paired with another facet, the same displacement has different
+unknowns and jumps. A step begins at the committed displacements, in the current pairs.
 """
 
 from __future__ import annotations
@@ -27,6 +28,10 @@ SplitVectors = tuple[Floats, dict[str, Floats]]
 
 class SlidingBodies:
     """State of bodies with finite sliding; made collectively.
+
+    The order of calls is: `begin` at rest, or `restore_pairs` and `begin_at` after a restart. Then
+    in each step `follow_pairs` when time or rotations change, `set_committed` before the solve,
+    `update_pairs` after each solve until it returns False, and `commit`.
 
     Attributes:
         work: Work of finite sliding at owned nodes since the beginning, and on rank 0 that of the
@@ -90,26 +95,37 @@ class SlidingBodies:
         q.array.reshape(-1, 3)[self._points.rows] = remaining_jump[self._points.nodes]
 
     def restore_pairs(self) -> Floats:
-        """Pair surfaces as in the restored state; its displacement at owned nodes (n, 3) [mm]."""
+        """Pair surfaces as in the restored state; collective.
+
+        Returns:
+            The restored displacement of owned nodes (n, 3) [mm], which pairs do not change.
+        """
         jump = self._contact.jump_at_committed_pairing
         if jump is not None:
             self._contact.set_pairs(jump)
-            self.follow()
+            self.follow_pairs()
         return self._nodal
 
     def begin_at(self, trial: TrialState) -> None:
         """Begin at a restored state with updated displacements; collective."""
+        self._store(trial)
+
+    def _store(self, trial: TrialState) -> None:
+        """Store displacements and contact forces of a state as committed; collective."""
         self._committed, self._committed_forces = (
             self._split_displacements(),
             self._contact_forces(trial),
         )
 
-    def follow(self) -> None:
-        """Let nodes follow the surfaces that they are paired with now; collective."""
+    def follow_pairs(self) -> None:
+        """Let nodes follow the facets with which they are paired now; collective.
+
+        The committed displacements are expressed in the current pairs.
+        """
         if not self._followers.changed:
             return
         stiffness, coupling = self._stiffness, self._contact.coupling
-        stiffness.constraints.follow()
+        stiffness.constraints.update_followers()
         stiffness.update(paired=True)
         coupling.update(stiffness.constraints, paired=True)
         u, q = stiffness.K.createVecRight(), coupling.D.createVecRight()
@@ -122,21 +138,24 @@ class SlidingBodies:
         self._set_unknowns(self._committed, u, q)
 
     def update_pairs(self, trial: TrialState, u: PETSc.Vec, q: PETSc.Vec) -> bool:
-        """Pair points anew if their gaps are wrong; return True if so; collective.
+        """Pair points if errors of gaps change pressures by more than `PAIRING_ACCURACY`.
 
-        Updated displacements are kept; u and q express them in the new pairs.
+        Collective. Updated displacements are kept; u and q then express them in the current pairs.
+
+        Returns:
+            True if points were paired.
         """
         displacements = self._split_displacements()
         if not self._contact.update_pairs(trial):
             return False
-        self.follow()
+        self.follow_pairs()
         self._set_unknowns(displacements, u, q)
         return True
 
     def commit(self, trial: TrialState) -> None:
         """Commit a converged state with updated displacements; collective."""
         (f0, F0), (u0, t0) = self._committed_forces, self._committed
-        self.begin_at(trial)
+        self._store(trial)
         (f1, F1), (u1, t1) = self._committed_forces, self._committed
         work = float(((f0 + f1) * (u1 - u0)).sum())
         if self._body_forms.mesh.comm.rank == 0:

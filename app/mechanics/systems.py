@@ -20,7 +20,7 @@ from app.mechanics.problem import Problem
 from app.numerics.choice import SolverChoice
 from app.numerics.deflation import CoarseSpace
 from app.numerics.preconditioners import SWEEP, Options, stiffness_options
-from app.numerics.sparse import block_diagonal, fill, renew
+from app.numerics.sparse import block_diagonal, fill_blocks, renew
 from app.numerics.system import Measure, System, block_norm
 
 if TYPE_CHECKING:
@@ -168,7 +168,7 @@ class ContactSystem(BondedSystem):
         normal_error = contact.points.normal_error[contact.local.rows]
         if not contact.points.normal_error.any():
             return r.ravel()
-        motions = contact.motions.free(law.status)
+        motions = contact.motions.unresisted(law.status)
         if not motions.shape[1]:
             return r.ravel()
         jumps, w = contact.motions.relative(motions), contact.local.weight
@@ -193,12 +193,12 @@ class ContactSystem(BondedSystem):
         self.trial = self._problem.trial(*x)
         factors, added_blocks = contact.row_factors(self.trial.forces)
         self.law_status = self.trial.forces.status
-        if self._moves_loosely():
+        if self._moves_floating_bodies():
             springs = SPRING_STIFFNESS * contact.coupling.D.getDiagonal().array_r.reshape(-1, 3)
             added_blocks = added_blocks + springs[:, :, None] * np.eye(3)
         self.factors = factors, added_blocks
-        fill(self.equilibrium_factors, factors)
-        fill(self._added_blocks, added_blocks)
+        fill_blocks(self.equilibrium_factors, factors)
+        fill_blocks(self._added_blocks, added_blocks)
         for product, A in ((self._A_qu, contact.coupling.Ct), (self._A_qq, contact.coupling.D)):
             if self._problem.stiffness.constraints.follows:
                 # On several ranks a product keeps the pattern of its former factors.
@@ -209,10 +209,10 @@ class ContactSystem(BondedSystem):
             1.0, self._added_blocks, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
         )
 
-    def _moves_loosely(self) -> bool:
+    def _moves_floating_bodies(self) -> bool:
         """Return True if forces move bodies that only open points resist; collective."""
         contact, law = self.contact, self.trial.forces
-        motions = contact.motions.loose(law.status)
+        motions = contact.motions.resisted_by_open_points(law.status)
         if not motions.shape[1]:
             return False
         forces = self._problem.f_q.reshape(-1, 3) - contact.local.weight[:, None] * law.force
@@ -238,9 +238,9 @@ class ContactSystem(BondedSystem):
         choice = SolverChoice(problem.scene.order, *sizes, *expected_solves)
         condensed: Condensed | None = None
         if choice.condenses(linear):
-            from app.numerics.condensed import Condensed, available  # scipy: few need it
+            from app.numerics.condensed import Condensed, has_factor_library  # scipy: few need it
 
-            if available(comm):
+            if has_factor_library(comm):
                 condensed = Condensed(self)
                 choice = replace(choice, entries=condensed.entries)
                 if not choice.fits:
@@ -294,7 +294,7 @@ class ContactSystem(BondedSystem):
 
     def free_jumps(self) -> Floats:
         """Jumps of rigid motions that nothing resists at the last state (n, 3, k); collective."""
-        return self.contact.motions.relative(self.contact.motions.free(self.law_status))
+        return self.contact.motions.relative(self.contact.motions.unresisted(self.law_status))
 
     def settle(self, x: list[PETSc.Vec]) -> bool:
         """Remove rigid motions that nothing resists from the last step of a state; collective.
@@ -305,7 +305,7 @@ class ContactSystem(BondedSystem):
             True if the state changes.
         """
         contact, problem = self.contact, self._problem
-        motions = contact.motions.free(self.trial.forces.status)
+        motions = contact.motions.unresisted(self.trial.forces.status)
         if not motions.shape[1]:
             return False
         jumps, w = contact.motions.relative(motions), contact.local.weight

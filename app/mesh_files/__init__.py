@@ -172,7 +172,7 @@ def _arrays(read: Callable[[Path], CellGrid]) -> Callable[[Path, Pick], FileCont
 
     def reader(path: Path, pick: Pick) -> FileContent:
         content = FileContent()
-        regions.fill(content, read(path), pick.array)
+        regions.fill_regions(content, read(path), pick.array)
         return content
 
     return reader

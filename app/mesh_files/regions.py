@@ -25,7 +25,7 @@ BOOKKEEPING = re.compile(
 Names = tuple[str, ...]
 
 
-def fill(content: FileContent, grid: CellGrid, array: str = "") -> None:
+def fill_regions(content: FileContent, grid: CellGrid, array: str = "") -> None:
     """Put cells into regions, and triangles into boundaries, by the values of their arrays.
 
     Blocks whose arrays have the same names use the same array, the given one if there is one. A

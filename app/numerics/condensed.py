@@ -131,7 +131,7 @@ class Condensed:
     @property
     def entries(self) -> float:
         """Entries of all factors of the bodies."""
-        return self._bodies.entries
+        return self._bodies.factor_entries
 
     # Factors
 
@@ -425,7 +425,7 @@ class JumpSystem(MatrixFree, Reduced):
         y.array = self._condensed.step(x.array_r)
 
 
-def available(comm: MPI.Comm) -> bool:
+def has_factor_library(comm: MPI.Comm) -> bool:
     """Return True if there is a library for the factors; collective."""
     return bool(on_root(comm, lambda: factor_class() is not None))
 

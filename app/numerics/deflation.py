@@ -19,7 +19,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.foundation.arrays import Floats
-from app.numerics.sparse import block_diagonal, diagonal, fill, matrix_sum
+from app.numerics.sparse import block_diagonal, diagonal, fill_blocks, matrix_sum
 
 # Motions with less than this fraction of the largest stiffness are left to the Krylov method.
 ZERO_STIFFNESS = 1e-10
@@ -72,7 +72,7 @@ class CoarseSpace:
         """Restrict jumps to free directions, by projectors at local points (n, 3, 3)."""
         self.version += 1
         self._free_directions = free_projectors
-        fill(self._projector, free_projectors)
+        fill_blocks(self._projector, free_projectors)
         self._projector.matMult(self._all_jumps, result=self.jump)
 
     def work(self, u: PETSc.Vec, q: PETSc.Vec, work_of_motions: PETSc.Vec) -> None:

@@ -73,7 +73,7 @@ def motions_outside(motions: Floats, other_motions: Floats) -> Floats:
     return np.asarray(directions[:, sizes > INDEPENDENT_SIZE])
 
 
-def describe(
+def motions_in_words(
     free_motions: Floats,
     names: Sequence[str],
     centres: Floats,

@@ -73,7 +73,7 @@ def collect(value: Any, keys: Any = None) -> Any:
     return value
 
 
-def fill(value: Any, state: Any, keys: Any = None) -> Any:
+def restored_object(value: Any, state: Any, keys: Any = None) -> Any:
     """Fill an object from a saved state; return it or its replacement.
 
     Raises:
@@ -92,7 +92,7 @@ def fill(value: Any, state: Any, keys: Any = None) -> Any:
     if attribute_names:
         keys = getattr(value, "row_keys", keys)
         new_values = {
-            name: fill(getattr(value, name), state[name], _inner_keys(keys, name))
+            name: restored_object(getattr(value, name), state[name], _inner_keys(keys, name))
             for name in attribute_names
         }
         if not hasattr(value, "saved"):
@@ -103,13 +103,13 @@ def fill(value: Any, state: Any, keys: Any = None) -> Any:
     if isinstance(state, dict):
         old_values = value or {}
         return {
-            name: fill(old_values.get(name), v, _inner_keys(keys, name))
+            name: restored_object(old_values.get(name), v, _inner_keys(keys, name))
             for name, v in state.items()
         }
     if isinstance(state, list):
         current = [*(value or ()), *[None] * (len(state) - len(value or ()))]
         numbered_pairs = enumerate(zip(current, state, strict=True))
-        new_items = [fill(v, f, _inner_keys(keys, k)) for k, (v, f) in numbered_pairs]
+        new_items = [restored_object(v, f, _inner_keys(keys, k)) for k, (v, f) in numbered_pairs]
         return tuple(new_items) if isinstance(value, tuple) else new_items
     return state
 

@@ -92,7 +92,7 @@ def block_diagonal(comm: MPI.Comm, n: int) -> PETSc.Mat:
     return from_rows(comm, (3 * n, 3 * n), *_csr(comm, np.ones((n, 3, 3))))
 
 
-def fill(A: PETSc.Mat, blocks: Floats) -> None:
+def fill_blocks(A: PETSc.Mat, blocks: Floats) -> None:
     """Set a block diagonal matrix to blocks (n, 3, 3); collective."""
     A.setValuesCSR(*_csr(A.comm.tompi4py(), blocks))
     A.assemble()

@@ -37,7 +37,7 @@ class Substructures:
 
     Attributes:
         operations: Floating-point operations of the factors on the rank that has the most.
-        entries: Entries of the factors of all ranks.
+        factor_entries: Entries of the factors of all ranks.
 
     Args:
         kept_nodes: Nodes of K that are kept, sorted, the same on all ranks.
@@ -50,7 +50,10 @@ class Substructures:
         self.renew(matrices)
 
     def renew(self, matrices: Matrices) -> None:
-        """Set the matrices; collective. The factors are analysed if the pattern is another."""
+        """Set the matrices; collective. The factors are analysed if the pattern has changed.
+
+        `factorize` follows.
+        """
         k, c, d = (owned_rows(A) for A in matrices)
         pattern = k.indptr, k.indices, c.indptr, c.indices
         is_analysed = self._pattern is not None and all(map(np.array_equal, self._pattern, pattern))
@@ -58,11 +61,11 @@ class Substructures:
         if not is_analysed:
             self._pattern = pattern
             self._divide_nodes(k, c, matrices[0].getOwnershipRanges() // 3)
-        interior = self._select_interior(k), self._select_interior(c)
+        interior = self._rows_of_interior(k), self._rows_of_interior(c)
         if not is_analysed:
             self._find_touched_border(*interior)
-        self._rows = self._interior_rows(*interior)
-        self._entries = self._border_entries(k, c, d, matrices[2].getOwnershipRange()[0])
+        self._interior_matrix = self._interior_matrix_of(*interior)
+        self._border_matrix = self._border_matrix_of(k, c, d, matrices[2].getOwnershipRange()[0])
         if not is_analysed:
             self._analyse()
 
@@ -78,19 +81,19 @@ class Substructures:
         self._place_in_border[shared_unknowns] = np.arange(self._shared_unknowns)
         self._place_in_border[kept_unknowns] = np.arange(self._shared_unknowns, self._first_jump)
         owned = self._place_in_border[3 * first_node : 3 * after_node]
-        self._interior_rows_owned, self._border_rows_owned = (
+        self._owned_interior, self._owned_border = (
             np.flatnonzero(owned < 0),
             np.flatnonzero(owned >= 0),
         )
-        self._border_place_of_owned = owned[self._border_rows_owned]
+        self._border_place_of_owned = owned[self._owned_border]
         self._column_of_unknown = np.full(k.shape[1], -1, dtype=np.int32)
-        self._column_of_unknown[3 * first_node + self._interior_rows_owned] = np.arange(
-            len(self._interior_rows_owned)
+        self._column_of_unknown[3 * first_node + self._owned_interior] = np.arange(
+            len(self._owned_interior)
         )
 
-    def _select_interior(self, A: csr_array) -> csr_array:
-        """The interior's rows of the owned ones; on one rank often all."""
-        return A[self._interior_rows_owned] if len(self._border_rows_owned) else A
+    def _rows_of_interior(self, A: csr_array) -> csr_array:
+        """Rows of the interior among owned rows; on one rank these are often all."""
+        return A[self._owned_interior] if len(self._owned_border) else A
 
     def _find_touched_border(self, k: csr_array, c: csr_array) -> None:
         """Find the part of the border that the interior's rows of K and C meet."""
@@ -99,7 +102,7 @@ class Substructures:
         is_touched[border_place[border_place >= 0]] = True
         is_touched[self._first_jump + c.indices] = True
         self._touched_border = np.flatnonzero(is_touched.reshape(-1, 3).any(axis=1).repeat(3))
-        interior_size = len(self._interior_rows_owned)
+        interior_size = len(self._owned_interior)
         outside = np.flatnonzero(self._place_in_border >= 0)
         self._interior_column = np.full(self._border_size, -1, dtype=np.int32)
         self._interior_column[self._touched_border] = np.arange(len(self._touched_border))
@@ -107,9 +110,9 @@ class Substructures:
             interior_size + self._interior_column[self._place_in_border[outside]]
         )
 
-    def _interior_rows(self, k: csr_array, c: csr_array) -> csr_array:
-        """The interior's rows; its columns first, then the columns of the border that it meets."""
-        n = len(self._interior_rows_owned)
+    def _interior_matrix_of(self, k: csr_array, c: csr_array) -> csr_array:
+        """Rows of the interior: first its columns, then those of the border that it touches."""
+        n = len(self._owned_interior)
         first_jump_column = int(np.searchsorted(self._touched_border, self._first_jump))
         k = csr_array(
             (k.data, self._column_of_unknown[k.indices], k.indptr), shape=(n, n + first_jump_column)
@@ -120,12 +123,12 @@ class Substructures:
         )
         return csr_array(hstack([k, c], format="csr"))
 
-    def _border_entries(
+    def _border_matrix_of(
         self, k: csr_array, c: csr_array, d: csr_array, first_row: int
     ) -> coo_array:
-        """Entries of the border's rows and columns: all on rank 0, else owned ones; collective."""
-        k_entries = k[self._border_rows_owned].tocoo()
-        c_entries = c[self._border_rows_owned].tocoo()
+        """Matrix of the border: of all ranks on rank 0, elsewhere of owned rows; collective."""
+        k_entries = k[self._owned_border].tocoo()
+        c_entries = c[self._owned_border].tocoo()
         d_entries = d.tocoo()
         column = self._place_in_border[k_entries.col]
         in_border = column >= 0
@@ -147,24 +150,28 @@ class Substructures:
     def _analyse(self) -> None:
         factor_type = factor_class()
         assert factor_type is not None
-        self._factor = factor_type(self._rows)
+        self._factor = factor_type(self._interior_matrix)
         s, last_unknowns = self._shared_unknowns, self._border_size - self._shared_unknowns
         of_shared = s**3 / 3 + s**2 * last_unknowns + s * last_unknowns**2
         self.operations = of_shared + self.comm.allreduce(self._factor.operations, MPI.MAX)
-        self.entries = self.comm.allreduce(self._factor.entries) + s * (s / 2 + last_unknowns)
+        self.factor_entries = self.comm.allreduce(self._factor.entries) + s * (
+            s / 2 + last_unknowns
+        )
 
     def factorize(self) -> Floats | None:
-        """Factor the matrices.
+        """Factor the matrices; collective.
+
+        Call it once after each `renew`: it releases the matrix of the interior.
 
         Returns:
-            S on rank 0, None elsewhere; collective.
+            Schur complement of the last unknowns on rank 0, None elsewhere.
 
         Raises:
             ArithmeticError: The matrix of an interior is not positive definite.
         """
         comm = self.comm
-        complement = self._factor.factorize(self._rows)
-        del self._rows
+        complement = self._factor.factorize(self._interior_matrix)
+        del self._interior_matrix
         borders_of_ranks = comm.gather(self._touched_border)
         wait(comm)
         if borders_of_ranks is None:
@@ -180,8 +187,7 @@ class Substructures:
             complement = np.empty((len(touched), len(touched)))
             comm.Recv(complement, rank)
             S[np.ix_(touched, touched)] += complement
-        entries = self._entries
-        S[entries.row, entries.col] += entries.data
+        S[self._border_matrix.row, self._border_matrix.col] += self._border_matrix.data
         return self._eliminate_shared(S) if self._shared_unknowns else S
 
     def _eliminate_shared(self, A: Floats) -> Floats:
@@ -209,11 +215,13 @@ class Substructures:
             r: Forces on owned rows of K.
 
         Returns:
-            They are :math:`r_l - E^T A^{-1} r` on rank 0, None elsewhere.
+            They are :math:`r_l - E^T A^{-1} r_e` on rank 0, None elsewhere. A is the matrix of all
+            eliminated unknowns: interiors and shared nodes. E is its coupling with the last
+            unknowns: kept nodes and the columns of C. The forces on these two are r_e and r_l.
         """
         total = np.zeros(self._border_size)
-        total[self._touched_border] = self._factor.reduce(r[self._interior_rows_owned])
-        total[self._border_place_of_owned] += r[self._border_rows_owned]
+        total[self._touched_border] = self._factor.reduce(r[self._owned_interior])
+        total[self._border_place_of_owned] += r[self._owned_border]
         forces = np.empty_like(total) if self.comm.rank == 0 else None
         self.comm.Reduce(total, forces)
         if forces is None:
@@ -241,9 +249,9 @@ class Substructures:
                 )
         wait(self.comm)
         self.comm.Bcast(border)
-        unknowns = np.empty(len(self._interior_rows_owned) + len(self._border_rows_owned))
-        unknowns[self._interior_rows_owned] = self._factor.expand(border[self._touched_border])
-        unknowns[self._border_rows_owned] = border[self._border_place_of_owned]
+        unknowns = np.empty(len(self._owned_interior) + len(self._owned_border))
+        unknowns[self._owned_interior] = self._factor.expand(border[self._touched_border])
+        unknowns[self._owned_border] = border[self._border_place_of_owned]
         return unknowns
 
 
@@ -287,24 +295,28 @@ def vertex_cover(pairs: Ints) -> Ints:
     No node is the first of one pair and the second of another. The set follows from a largest
     matching (D. Kőnig, 1931): start at the first nodes that are not matched. Go to second nodes by
     any pair, and back by pairs of the matching. The set consists of the first nodes that are not
-    reached, and of the second nodes that are reached.
+    reached, and of the second nodes that are reached. For example, with the matching 2-5 and 3-6::
+
+        1 --- 5 === 2       From 1 to 5, and back to 2: these three are reached.
+        6 === 3 --- 7       The set is 3 (first, not reached) and 5 (second, reached).
     """
-    (first_nodes, first_index), (second_nodes, second_index) = (
+    (first_nodes, row_of_pair), (second_nodes, column_of_pair) = (
         np.unique(v, return_inverse=True) for v in pairs.T
     )
+    # Rows are first nodes, columns are second nodes.
     graph = csr_array(
-        (np.ones(len(first_index), dtype=np.int8), (first_index, second_index)),
+        (np.ones(len(row_of_pair), dtype=np.int8), (row_of_pair, column_of_pair)),
         shape=(len(first_nodes), len(second_nodes)),
     )
-    second_of_first = maximum_bipartite_matching(graph, perm_type="column")
-    first_of_second = np.full(len(second_nodes), -1)
-    first_of_second[second_of_first[second_of_first >= 0]] = np.flatnonzero(second_of_first >= 0)
-    first_reached, second_reached = second_of_first < 0, np.zeros(len(second_nodes), dtype=bool)
+    column_of_row = maximum_bipartite_matching(graph, perm_type="column")
+    row_of_column = np.full(len(second_nodes), -1)
+    row_of_column[column_of_row[column_of_row >= 0]] = np.flatnonzero(column_of_row >= 0)
+    first_reached, second_reached = column_of_row < 0, np.zeros(len(second_nodes), dtype=bool)
     frontier = np.flatnonzero(first_reached)
     while len(frontier):
         neighbours = np.unique(graph[frontier].indices)
         neighbours = neighbours[~second_reached[neighbours]]
         second_reached[neighbours] = True
-        frontier = first_of_second[neighbours]  # matched: else the matching could grow
+        frontier = row_of_column[neighbours]  # matched: else the matching could grow
         first_reached[frontier] = True
     return np.concatenate([first_nodes[~first_reached], second_nodes[second_reached]])

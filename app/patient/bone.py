@@ -267,7 +267,7 @@ def _surface(
 ) -> tuple[Frame, BoneSurface]:
     """Frame and surface of the bone in a file; the hash of its content is a part of the key."""
     surface = bone_surface.read(path, unit, label)
-    frame = landmarks.find(surface, dict(known))
+    frame = landmarks.find_landmarks(surface, dict(known))
     return frame, frame.surface(surface)
 
 
@@ -278,7 +278,7 @@ def read(bone: BoneKeys, canal: CanalKeys, contents: tuple[str, str], known: Kno
         bone: Keys of its outer surface.
         canal: Keys of its canal, which may have no file.
         contents: Hashes of their files.
-        known: Landmarks that are given, by name (`landmarks.find`).
+        known: Landmarks that are given, by name (`landmarks.find_landmarks`).
 
     Raises:
         GeometryError: A file is damaged or is no femur.

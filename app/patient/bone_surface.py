@@ -16,7 +16,7 @@ from app.foundation.errors import GeometryError
 from app.patient import label_surface, surface_files, welding
 from app.patient.welding import Welded
 from meshes.data import connected
-from meshes.plane_sections import section
+from meshes.plane_sections import lines_at_height
 
 UNITS = {"mm": 1.0, "m": 1000.0, "cm": 10.0, "inch": 25.4}
 EXTENT = (65.0, 600.0)  # mm that a femur, or a proximal part of one, is long
@@ -62,7 +62,7 @@ class BoneSurface:
 
     def level(self, z: float) -> Floats:
         """Lines (k, 2, 2) in which it meets a level [mm]."""
-        return section(self.points[:, :2], self.points[:, 2] - z, self.triangles)
+        return lines_at_height(self.points[:, :2], self.points[:, 2] - z, self.triangles)
 
 
 def read(

@@ -226,7 +226,7 @@ def _canal(
     translation = np.eye(4)
     translation[:3, 3] = -1.0
     padded = LabelBody(level > 0, level, body.affine @ translation, ())
-    welded = welding.weld(label_surface.surface(level, padded))
+    welded = welding.weld(label_surface.triangles_of_level(level, padded))
     return BoneSurface(welded.points, outward(welded.points, welded.triangles))
 
 

@@ -45,7 +45,7 @@ def read(path: Path, header: Any, left_out: Sequence[str]) -> Voxels:
             f"{path}: its masks are fractional (SegmentationType {header.SegmentationType});"
             " export binary masks or a labelmap"
         )
-    frames = dicom_series.frames_of(header)
+    frames = dicom_series.frames_of_file(header)
     dicom_series.check_equal(path, frames)
     plane_of_frame, affine = _planes(path, frames)
     masks = dicom_series.pixels(header).astype(bool)
@@ -96,7 +96,7 @@ def _planes(path: Path, frames: Sequence[Any]) -> tuple[Any, Floats]:
     gaps = np.diff(levels)
     gaps = gaps[gaps > dicom_series.SAME_PLACE]
     if not len(gaps):
-        fault = f"has only one slice, {dicom_series.name_of(frames[0])}"
+        fault = f"has only one slice, {dicom_series.name_of_slice(frames[0])}"
         raise InputError(f"{path}: {fault}; expected several")
     origin = positions[heights.argmin()]
     # The mean step: rounding of each gap has no effect on it.
@@ -106,7 +106,7 @@ def _planes(path: Path, frames: Sequence[Any]) -> tuple[Any, Floats]:
     plane_of_frame = np.round((heights - levels[0]) / step).astype(int)
     distances = np.linalg.norm(positions - origin - step * plane_of_frame[:, None] * normal, axis=1)
     if distances.max() > PLANE_TOLERANCE * step:
-        farthest_frame = dicom_series.name_of(frames[int(distances.argmax())])
+        farthest_frame = dicom_series.name_of_slice(frames[int(distances.argmax())])
         fault = f"its planes are {gaps.min():.3g} to {gaps.max():.3g} mm apart"
         raise InputError(
             f"{path}: {fault}; {farthest_frame} is not at a multiple of one step. Resample it"

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from app.foundation.errors import InputError
-from app.foundation.files import parts
+from app.foundation.files import files_at
 from app.patient.voxels import Voxels
 from app.system.layout import shortened_list, times_text
 
@@ -75,7 +75,9 @@ def read(path: Path, headers: Sequence[Any], left_out: Sequence[str]) -> Voxels:
     slices, numbers = _without_copies(path, slices, notes)
     positions = np.array([s.ImagePositionPatient for s in slices], dtype=float)
     if len(slices) < 2:
-        raise InputError(f"{path}: has only one slice, {name_of(slices[0])}; expected several")
+        raise InputError(
+            f"{path}: has only one slice, {name_of_slice(slices[0])}; expected several"
+        )
     step = (positions[-1] - positions[0]) / (len(positions) - 1)
     gaps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     distances = np.linalg.norm(
@@ -83,7 +85,7 @@ def read(path: Path, headers: Sequence[Any], left_out: Sequence[str]) -> Voxels:
     )
     if not distances.max() < STEP_TOLERANCE * np.linalg.norm(step):
         message = f"{path}: its slices are {gaps.min():.3g} to {gaps.max():.3g} mm apart"
-        name_before_gap = name_of(slices[int(gaps.argmax())])
+        name_before_gap = name_of_slice(slices[int(gaps.argmax())])
         raise InputError(
             f"{message}; is one missing after {name_before_gap}? If not, resample them evenly"
         )
@@ -136,7 +138,7 @@ def headers_of(path: Path) -> tuple[list[Any], list[str]]:
         return [_header_with_frames(path)], []
     headers = []
     other_files = []
-    for file in parts(path):
+    for file in files_at(path):
         header = _header(file)
         if header is None:
             other_files.append(file.name)
@@ -144,7 +146,7 @@ def headers_of(path: Path) -> tuple[list[Any], list[str]]:
             headers.append(header)
     slice_counts = {}
     for folder in sorted(file for file in path.rglob("*") if file.is_dir()):
-        count = sum(map(_is_slice, parts(folder)))
+        count = sum(map(_is_slice, files_at(folder)))
         if count:
             slice_counts[str(folder.relative_to(path))] = count
     subfolders = [f"{name} ({count} files)" for name, count in slice_counts.items()]
@@ -175,7 +177,7 @@ def _header_with_frames(path: Path) -> Any:
     return header
 
 
-def frames_of(header: Any) -> list[Any]:
+def frames_of_file(header: Any) -> list[Any]:
     """Return the frames of a file, each with the tags of a slice; a file of one slice itself."""
     import pydicom
 
@@ -241,19 +243,19 @@ def _of_one_series(path: Path, headers: Sequence[Any], notes: list[str]) -> list
     def drop(
         headers: Sequence[Any], description: str, is_dropped: Callable[[Any], bool]
     ) -> list[Any]:
-        dropped = [name_of(h) for h in headers if is_dropped(h)]
+        dropped = [name_of_slice(h) for h in headers if is_dropped(h)]
         if dropped:
             notes.append(f"{len(dropped)} {description} left out: {_names(dropped)}")
         return [h for h in headers if not is_dropped(h)]
 
     slices = drop(headers, "files without an image", lambda h: "Rows" not in h)
     slices = drop(slices, "segmentations", lambda h: h.get("Modality") == "SEG")
-    slices = [frame for header in slices for frame in frames_of(header)]
+    slices = [frame for header in slices for frame in frames_of_file(header)]
     if slices and not any(map(_is_placed, slices)):
         kind = slices[0].get("SOPClassUID", "")
         raise InputError(
-            f"{path}: {name_of(slices[0])} and {len(slices) - 1} other slices have no position in"
-            f" the patient ({getattr(kind, 'name', kind)}); export the original series"
+            f"{path}: {name_of_slice(slices[0])} and {len(slices) - 1} other slices have no"
+            f" position in the patient ({getattr(kind, 'name', kind)}); export the original series"
         )
     slices = drop(slices, "images without position", lambda s: not _is_placed(s))
     slices = drop(slices, "localizers", lambda s: "LOCALIZER" in (s.get("ImageType") or ()))
@@ -266,7 +268,7 @@ def _of_one_series(path: Path, headers: Sequence[Any], notes: list[str]) -> list
     if len(series) > 1:
         series_list = "; ".join(
             f"{len(slices_of_series)} slices of {_described(slices_of_series[0])}, such as"
-            f" {name_of(slices_of_series[0])}"
+            f" {name_of_slice(slices_of_series[0])}"
             for slices_of_series in series.values()
         )
         one_file = len({header.filename for header in slices}) == 1
@@ -284,7 +286,9 @@ def check_equal(path: Path, slices: Sequence[Any]) -> None:
         (usual_value, _), *others = Counter(values).most_common()
         if others:
             odd_names = [
-                name_of(s) for s, value in zip(slices, values, strict=True) if value != usual_value
+                name_of_slice(s)
+                for s, value in zip(slices, values, strict=True)
+                if value != usual_value
             ]
             odd_value = next(value for value in values if value != usual_value)
             fault = (
@@ -302,7 +306,9 @@ def check_equal(path: Path, slices: Sequence[Any]) -> None:
     axes = np.array([s.ImageOrientationPatient for s in slices], dtype=float)
     is_off = np.abs(axes - np.median(axes, axis=0)).max(axis=1) > AXES_TOLERANCE
     if is_off.any():
-        odd_names = [name_of(s) for s, is_rotated in zip(slices, is_off, strict=True) if is_rotated]
+        odd_names = [
+            name_of_slice(s) for s, is_rotated in zip(slices, is_off, strict=True) if is_rotated
+        ]
         raise InputError(
             f"{path}: {_names(odd_names)} is not parallel to the other slices; leave it out"
         )
@@ -334,11 +340,11 @@ def _without_copies(
             kept_slices.append(header)
             numbers.append(values)
         elif np.array_equal(values, numbers[-1]):
-            copies.append(name_of(header))
+            copies.append(name_of_slice(header))
         else:
             fault = (
-                f"{name_of(kept_slices[-1])} and {name_of(header)} differ, but have the same"
-                " position"
+                f"{name_of_slice(kept_slices[-1])} and {name_of_slice(header)} differ, but have the"
+                " same position"
             )
             raise InputError(f"{path}: {fault}; are they two series, phases or energies? Keep one")
     if copies:
@@ -399,7 +405,7 @@ def _is_placed(header: Any) -> bool:
     return all(header.get(key) is not None for key in PLACE_TAGS)
 
 
-def name_of(header: Any) -> str:
+def name_of_slice(header: Any) -> str:
     """Name of the file of a slice, with the number of a frame."""
     frame = _frame(header)
     return Path(header.filename).name + ("" if frame is None else f" (frame {frame + 1})")

@@ -38,6 +38,6 @@ def is_text(data: bytes) -> bool:
     return data.startswith(tuple(ENCODINGS)) or b"\0" not in data[:2000]
 
 
-def line_of(text: str, position: int) -> int:
+def line_number(text: str, position: int) -> int:
     """Return the number of the line at a position, from 1."""
     return text.count("\n", 0, position) + 1

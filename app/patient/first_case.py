@@ -154,9 +154,11 @@ def write(
             exists or cannot be written.
     """
     path = new_case.yaml(path)
-    bone = segmentation.femur(labels, side, label)
+    bone = segmentation.femur_structure(labels, side, label)
     fixation = CEMENTLESS if cementless else CEMENTED
-    proposal = _propose(path.parent, fixation, bone, segmentation.canal(labels, bone), ct, side)
+    proposal = _propose(
+        path.parent, fixation, bone, segmentation.canal_structure(labels, bone), ct, side
+    )
     keys: dict[str, object] = {
         "base": fixation.base,
         "title": f"Hip of {labels.name}",
@@ -164,7 +166,7 @@ def write(
         "mesh": {"size": f"{CELL_SIZE:g} mm"},
         **fixation.sections,
     }
-    new_case.save(
+    new_case.save_case_text(
         path,
         "# The hip of a segmentation, standing on one leg. `mantle explain KEY` explains a key.\n"
         "# `mantle place` shows and changes the position of the stem.\n\n"

@@ -18,7 +18,7 @@ from app.case.hips import (
     Resection,
     point,
 )
-from app.case.shapes import MeshOptions, Point3, Shape, spread
+from app.case.shapes import MeshOptions, Point3, Shape, range_of_thickness
 from app.case.stems import Stem, StemFile
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError, InputError
@@ -158,7 +158,7 @@ class Patient(OperatedHip):
             message = "`by` makes room for cement, but there is none; expected broach or none"
             fail(message, at=("canal", "ream"))
         implant = self.implant
-        for field, message in implant.faults(spread(self.cement_thickness)[0]):
+        for field, message in implant.faults(range_of_thickness(self.cement_thickness)[0]):
             fail(message, at=("stem", field))
         try:
             self._check_length(placement_of(self))

@@ -44,7 +44,7 @@ class GivenLandmarks:
 
         Args:
             surface: The bone, in the axes of its file.
-            given: The landmarks by name, and other keys of `landmarks.find`.
+            given: The landmarks by name, and other keys of `landmarks.find_landmarks`.
         """
         self._surface, self._given = surface, given
         self.names = tuple(name for name in given if name != "side")

@@ -10,7 +10,7 @@ from pydantic import model_validator
 
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
-from app.laws.densities import LEAST, Law, ModulusField, modulus, table_of
+from app.laws.densities import LEAST, Law, ModulusField, modulus_of_density, table_of
 from app.patient.geometry import ImageFile, Patient
 from app.schema.section import Section, Text, fail
 from app.schema.units import Dimension
@@ -103,7 +103,7 @@ class ImageModulus(ModulusField):
 
     def modulus_of(self, numbers: Any) -> Any:
         """Young's modulus of CT numbers [MPa]."""
-        return modulus(self.law, self.densities(numbers)[table_of(self.law)[0]])
+        return modulus_of_density(self.law, self.densities(numbers)[table_of(self.law)[0]])
 
     @property
     def largest(self) -> float:
@@ -134,7 +134,7 @@ class ImageModulus(ModulusField):
             ", ".join(f"{v:{f}}" for v in values)
             for values, f in (
                 (REPORTED_DENSITIES, "g"),
-                (modulus(self.law, list(REPORTED_DENSITIES)), ",.0f"),
+                (modulus_of_density(self.law, list(REPORTED_DENSITIES)), ",.0f"),
             )
         )
         densities = ", ".join(

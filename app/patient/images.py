@@ -20,7 +20,7 @@ from scipy import ndimage
 
 from app.foundation.arrays import Bools, Floats
 from app.foundation.errors import InputError
-from app.foundation.files import parts
+from app.foundation.files import files_at
 from app.patient import dicom_segmentation, dicom_series, nrrd
 from app.patient.foreign_formats import WRAPPED, ForeignFormats, foreign_format, vtk_formats
 from app.patient.voxels import LabelSegment, Voxels
@@ -164,7 +164,7 @@ def read_layers(path: Path) -> Image:
 def files_of(path: Path) -> list[Path]:
     """Return all files of an image: those of a folder, and numbers and header in two files."""
     if path.is_dir():
-        return parts(path)
+        return files_at(path)
     partner = {".hdr": ".img", ".img": ".hdr"}.get(path.suffix)
     candidates = [path, path.with_suffix(partner)] if partner else [path]
     with path.open("rb") as file:
@@ -295,7 +295,7 @@ def _dicom(path: Path) -> Voxels:
     if not segmentations or len(segmentations) < len(with_image):
         return dicom_series.read(path, headers, left_out)
     if len(segmentations) > 1:
-        names = ", ".join(dicom_series.name_of(header) for header in segmentations[:3])
+        names = ", ".join(dicom_series.name_of_slice(header) for header in segmentations[:3])
         raise InputError(f"{path}: has {len(segmentations)} segmentations: {names}; give one file")
     return dicom_segmentation.read(path, segmentations[0], left_out)
 

@@ -67,10 +67,10 @@ def read(path: Path, label: int) -> tuple[Floats, LabelBody]:
         InputError: The image cannot be read, is no image of labels, or does not have this one.
     """
     whole_body = body(path, label)
-    return surface(whole_body.level, whole_body), whole_body
+    return triangles_of_level(whole_body.level, whole_body), whole_body
 
 
-def surface(level: Floats | NDArray[np.float32], label_body: LabelBody) -> Floats:
+def triangles_of_level(level: Floats | NDArray[np.float32], label_body: LabelBody) -> Floats:
     """Return triangles (m, 3, 3) [mm] on which a level of the voxels of a body is zero."""
     from skimage import measure
 

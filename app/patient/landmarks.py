@@ -24,7 +24,7 @@ from app.foundation.errors import GeometryError
 from app.patient import shaft
 from app.patient.bone_surface import BoneSurface, mean_point_text
 from app.patient.given_landmarks import SHAFT_LEVEL, GivenLandmarks
-from meshes.plane_sections import centroid, exits, section
+from meshes.plane_sections import centroid, exits, lines_at_height
 
 HEAD_RADII = (14.0, 36.0)  # mm: smallest and largest radius of a head
 HEAD_FROM_END = 90.0  # mm from an end of the bone within which its head is
@@ -191,7 +191,7 @@ class Frame:
         return notes
 
 
-def find(surface: BoneSurface, given: Mapping[str, Any] | None = None) -> Frame:
+def find_landmarks(surface: BoneSurface, given: Mapping[str, Any] | None = None) -> Frame:
     """Find the landmarks of a femur.
 
     Args:
@@ -442,7 +442,7 @@ class _Finder:
     def _section(self, point: Floats) -> Floats:
         """Lines (k, 2, 2) of the section through a point across the shaft, about the point."""
         x = (self.x - point) @ np.column_stack([*_perpendicular_axes(self.up), self.up])
-        return section(x[:, :2], x[:, 2], self.triangles)
+        return lines_at_height(x[:, :2], x[:, 2], self.triangles)
 
     def _find_trochanter(self) -> None:
         """Find the apex of the lesser trochanter, and the point of the axis at its level."""
@@ -517,7 +517,9 @@ class _Finder:
             plane = np.stack(_perpendicular_axes(axis, up))
             for _ in range(2):
                 section_x = (x - centre) @ np.vstack([plane, axis]).T
-                radii, _ = exits(section(section_x[:, :2], section_x[:, 2], triangles), angles)
+                radii, _ = exits(
+                    lines_at_height(section_x[:, :2], section_x[:, 2], triangles), angles
+                )
                 centre = centre + (radii**3 / (1.5 * (radii**2).sum())) @ rays @ plane
             return math.pi * float((radii**2).mean()), centre
 

@@ -21,7 +21,7 @@ from meshes.bone_layers import StemShape
 from meshes.femur_bone import CONE_END, CORTEX_LEFT, FemurBone
 from meshes.layers import CORE_OVER, Sections
 from meshes.placement import Placement
-from meshes.plane_sections import centroid, exits, section
+from meshes.plane_sections import centroid, exits, lines_at_height
 
 SECTION_STEP = 2.0  # mm between sections
 ANGLES = 96  # rays around
@@ -172,7 +172,7 @@ class MeasuredLayers:
         slopes, centres = self._sections.slope(zeta), self._centre(zeta)
         ray_results = []
         for z, slope, centre in zip(zeta, slopes, centres, strict=True):
-            lines = section(x[:, :2], x[:, 2] + slope * rise - z, surface.triangles)
+            lines = lines_at_height(x[:, :2], x[:, 2] + slope * rise - z, surface.triangles)
             ray_results.append(exits(lines - centre, THETA, GROOVE_WIDTH))
         radii, crossings = (np.array(column) for column in zip(*ray_results, strict=True))
         return radii, crossings

@@ -9,7 +9,7 @@ import numpy as np
 
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
-from app.patient.welding import Polygon, divided
+from app.patient.welding import Polygon, triangles_of_polygons
 
 
 def corners_of(
@@ -56,4 +56,4 @@ def corners_of(
     unused = len(points) - len(used_vertices)
     if unused:
         notes.append(f"{unused:,} vertices without a face left out")
-    return points[divided(points, polygons)], notes
+    return points[triangles_of_polygons(points, polygons)], notes

@@ -138,7 +138,7 @@ def _names(path: Path) -> dict[str, int]:
     return names
 
 
-def femur(path: Path, side: str | None, label: str | None) -> Structure:
+def femur_structure(path: Path, side: str | None, label: str | None) -> Structure:
     """Return the structure of a segmentation that is the femur.
 
     Args:
@@ -188,7 +188,7 @@ def _of_side(femur: Structure, side: str | None) -> Structure:
     return femur
 
 
-def canal(path: Path, bone: Structure) -> Structure | None:
+def canal_structure(path: Path, bone: Structure) -> Structure | None:
     """Return the structure that is the medullary canal of a femur; None: there is none."""
     if path.is_dir():
         path = bone.path

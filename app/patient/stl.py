@@ -9,7 +9,7 @@ import numpy as np
 
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
-from app.patient.file_text import decoded, is_text, line_of
+from app.patient.file_text import decoded, is_text, line_number
 
 # Bytes before the triangles of a binary file.
 HEADER_SIZE = 84
@@ -118,17 +118,16 @@ def _text(path: Path, text: str, notes: list[str]) -> tuple[Floats, list[str]]:
             progress = f"after {len(corners):,} facets"
             if not remaining_text or SOLID_BEGIN.match(remaining_text):
                 raise GeometryError(
-                    f"{path}: the solid that begins in line {line_of(text, begin_position)} has no"
-                    f" `endsolid` {progress}; is the file cut short? If not, add that line"
+                    f"{path}: the solid that begins in line {line_number(text, begin_position)} has"
+                    f" no `endsolid` {progress}; is the file cut short? If not, add that line"
                 )
             if FACET_END.search(remaining_text):
                 raise _unexpected_text(
                     path, text, position, "a facet of three vertices, or `endsolid`"
                 )
-            line_number = line_of(text, len(text) - len(remaining_text))
+            line = line_number(text, len(text) - len(remaining_text))
             raise GeometryError(
-                f"{path}: line {line_number}: the file is cut short or damaged in a facet,"
-                f" {progress}"
+                f"{path}: line {line}: the file is cut short or damaged in a facet, {progress}"
             )
         position = solid_end.end()
     facets = len(FACET_END.findall(text))
@@ -141,10 +140,8 @@ def _text(path: Path, text: str, notes: list[str]) -> tuple[Floats, list[str]]:
         values = np.array([[float(word) for word in facet] for facet in corners])
     except ValueError:
         wrong_word = next(w for facet in corners for w in facet if not _is_number(w))
-        line_number = line_of(text, text.index(wrong_word))
-        raise GeometryError(
-            f"{path}: line {line_number}: `{wrong_word[:40]}` is not a number"
-        ) from None
+        line = line_number(text, text.index(wrong_word))
+        raise GeometryError(f"{path}: line {line}: `{wrong_word[:40]}` is not a number") from None
     several = f" in {solids} solids" if solids > 1 else ""
     return values.reshape(-1, 3, 3), [
         f"{len(corners):,} triangles of a text STL file{several}",
@@ -156,9 +153,9 @@ def _unexpected_text(path: Path, text: str, position: int, expected: str) -> Geo
     """Return the error on unexpected text at a position."""
     remaining_text = text[position:].lstrip()
     unexpected_words = " ".join(remaining_text.split()[:6])[:60]
-    line_number = line_of(text, len(text) - len(remaining_text))
+    line = line_number(text, len(text) - len(remaining_text))
     return GeometryError(
-        f"{path}: line {line_number}: expected {expected}, but it has `{unexpected_words}`"
+        f"{path}: line {line}: expected {expected}, but it has `{unexpected_words}`"
     )
 
 

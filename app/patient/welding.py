@@ -235,12 +235,12 @@ def _divided_edges(surface: Welded) -> Welded:
         if any(side in corners_on_edge for side in sides):
             is_whole[t] = False
             rows.append([i for side in sides for i in (side[0], *corners_on_edge.get(side, ()))])
-    triangles = np.concatenate([surface.triangles[is_whole], divided(x, rows)])
+    triangles = np.concatenate([surface.triangles[is_whole], triangles_of_polygons(x, rows)])
     note = f"{len(corners_on_edge):,} edges that were divided on one side only are divided on both"
     return _without_repeats(Welded(x, triangles, [*surface.notes, note]))
 
 
-def divided(points: Floats, polygons: Sequence[Polygon]) -> Ints:
+def triangles_of_polygons(points: Floats, polygons: Sequence[Polygon]) -> Ints:
     """Return the triangles (m, 3) of polygons, in the order of their numbers of corners."""
     sizes = np.array([len(polygon) for polygon in polygons])
     triangles_by_size: list[Ints] = []

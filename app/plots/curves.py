@@ -122,19 +122,19 @@ def draw(
         size: Width and height of a panel [inch].
         suffixes: Formats.
     """
-    figure, all_axes = figures.panels(len(panels), columns, *size)
+    figure, all_axes = figures.figure_of_panels(len(panels), columns, *size)
     for axes, panel in zip(all_axes, panels, strict=True):
         draw_panel(axes, panel)
     longest = max((len(label) for label in figures.handles(all_axes)), default=0)
     if len(figures.handles(all_axes)) > 1:
         letters = LETTERS * min(columns, len(panels))
         figures.legend_below(figure, letters // (longest + 8))
-    return figures.save(figure, path, DPI, suffixes)
+    return figures.save_figure(figure, path, DPI, suffixes)
 
 
 def draw_panel(axes: Axes, panel: Panel) -> None:
     """Draw a panel into axes."""
-    figures.title(axes, panel.title)
+    figures.set_title(axes, panel.title)
     figures.grid(axes)
     axes.set_xlabel(panel.x)
     axes.set_ylabel(panel.y)
@@ -326,7 +326,7 @@ def level(axes: Axes, y: float, label: str) -> None:
     axes.axhline(y, color="0.3", lw=1, ls=(0, (5, 3)), label=label)
 
 
-def band(axes: Axes, low: float, high: float, label: str) -> None:
+def draw_band(axes: Axes, low: float, high: float, label: str) -> None:
     """Draw a grey band of values."""
     axes.axhspan(low, high, color="0.88", lw=0, zorder=0.9, label=label)
 

@@ -45,7 +45,7 @@ def new(width: float, height: float) -> Figure:
     return figure
 
 
-def panels(
+def figure_of_panels(
     number: int, columns: int, width: float, height: float, legend: float = LEGEND
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure of panels, at most ``columns`` side by side.
@@ -66,7 +66,7 @@ def panels(
     return figure, list(all_axes[:number])
 
 
-def title(axes: Axes, text: str) -> None:
+def set_title(axes: Axes, text: str) -> None:
     """Write the title of a panel."""
     axes.set_title(text, fontsize=TITLE, loc="left")
 
@@ -112,7 +112,9 @@ def legend_below(figure: Figure, columns: int, last: str = "") -> None:
         )
 
 
-def save(figure: Figure, path: Path, dpi: int, suffixes: Sequence[str] = SUFFIXES) -> list[Path]:
+def save_figure(
+    figure: Figure, path: Path, dpi: int, suffixes: Sequence[str] = SUFFIXES
+) -> list[Path]:
     """Write a figure in each format, in place of the suffix of a path; return the files."""
     files = [path.with_suffix(suffix) for suffix in suffixes]
     for file in files:

@@ -24,7 +24,7 @@ MARKER = 5.0
 
 
 def label(axes: Axes, texts: Sequence[str], x: Sequence[float], y: Sequence[float], k: int) -> None:
-    """Label the points of the k-th curve; `place` moves the labels apart."""
+    """Label the points of the k-th curve; `place_labels` moves the labels apart."""
     halo = [withStroke(linewidth=2.0, foreground="white")]
     for text, x_of_point, y_of_point in zip(texts, x, y, strict=True):
         axes.annotate(
@@ -40,7 +40,7 @@ def label(axes: Axes, texts: Sequence[str], x: Sequence[float], y: Sequence[floa
         )
 
 
-def place(axes: Axes) -> None:
+def place_labels(axes: Axes) -> None:
     """Move the labels of points so that they do not overlap; hide those without room.
 
     The figure has been drawn, so that its axes have their places.

@@ -20,8 +20,8 @@ from app.foundation.arrays import Floats, Ints
 from app.plots import figures
 from app.plots.figures import PNG
 from app.plots.maps import joined
-from meshes.data import EDGES, MeshData, boundary_facets, interface_facets
-from meshes.nearest_facets import distance, triangles
+from meshes.data import EDGES, MeshData, interface_facets, nodes_of_boundary_facets
+from meshes.nearest_facets import distance_from_triangles, triangles
 
 # The straight cells that share the nodes of a curved one: four at its corners, and four around a
 # diagonal.
@@ -74,7 +74,7 @@ _RINGS = {
 }
 
 
-def cut(points: Floats, cells: Ints, axis: int, at: float) -> list[tuple[Floats, Ints]]:
+def cut_tetrahedra(points: Floats, cells: Ints, axis: int, at: float) -> list[tuple[Floats, Ints]]:
     """Cut tetrahedra by the plane x_axis = at [mm]; curved ones count as straight.
 
     Nodes on the plane count as above it.
@@ -103,15 +103,19 @@ def cut(points: Floats, cells: Ints, axis: int, at: float) -> list[tuple[Floats,
     ]
 
 
-def section(data: MeshData, axis: int, at: float) -> tuple[list[tuple[Floats, Ints]], Floats, Ints]:
-    """Cut cells by a plane as `cut`, curved ones as the eight straight ones that share their nodes.
+def section_of_cells(
+    data: MeshData, axis: int, at: float
+) -> tuple[list[tuple[Floats, Ints]], Floats, Ints]:
+    """Cut cells by a plane as `cut_tetrahedra`; a curved cell counts as eight straight ones.
 
     Returns:
         Corners of polygons and their cells; the edges of the cells' sections (n, 2, 3) and the cell
         of each (n,).
     """
     straight_cells = np.array(STRAIGHT_CELLS if data.curved else [(0, 1, 2, 3)])
-    cut_polygons = cut(data.points, data.cells[:, straight_cells].reshape(-1, 4), axis, at)
+    cut_polygons = cut_tetrahedra(
+        data.points, data.cells[:, straight_cells].reshape(-1, 4), axis, at
+    )
     polygons = [(corners, part // len(straight_cells)) for corners, part in cut_polygons]
     return polygons, *outlines(polygons)
 
@@ -139,13 +143,13 @@ def section_lines(x: Floats, axis: int, at: float) -> Floats:
     return line_ends.reshape(-1, 2, 3)
 
 
-def sections(data: MeshData, path: Path, title: str = "") -> None:
+def draw_sections(data: MeshData, path: Path, title: str = "") -> None:
     """Write a PNG with sections near the neck cut, in the middle of the stem and above its tip."""
     interface_name = next(name for name in AROUND_STEM if name in data.interfaces)
     stem = data.points[interface_facets(data, interface_name)[0], 2]
     top_level = stem.max()
     if "resection" in data.boundaries:
-        top_level = data.points[boundary_facets(data, "resection"), 2].min()
+        top_level = data.points[nodes_of_boundary_facets(data, "resection"), 2].min()
     upper_plane, lower_plane = top_level - END_DISTANCE, stem.min() + END_DISTANCE
     planes = {
         "near the neck cut": float(np.floor(upper_plane)),
@@ -155,19 +159,19 @@ def sections(data: MeshData, path: Path, title: str = "") -> None:
     figure = figures.new(12.0, 4.0)
     axes = figure.subplots(1, 3, sharex=True, sharey=True)
     for ax, (place, at) in zip(axes, planes.items(), strict=True):
-        fill(ax, data, 2, at)
+        draw_section(ax, data, 2, at)
         ax.set(aspect="equal", xlabel="x (mm)", ylabel="y (mm)")
         ax.set_title(f"{place}, z = {at:.4g} mm")
     handles = [Patch(fc=c, ec="k", label=n) for n, c in colours_of(data.regions).items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=6)
     figure.suptitle(title)
-    figures.save(figure, path, 110, PNG)
+    figures.save_figure(figure, path, 110, PNG)
 
 
-def fill(ax: Axes, data: MeshData, axis: int, at: float) -> None:
+def draw_section(ax: Axes, data: MeshData, axis: int, at: float) -> None:
     """Draw a section: filled cells, their edges, and the outlines of the regions."""
     u, v = (i for i in range(3) if i != axis)
-    polygons, edges, _ = section(data, axis, at)
+    polygons, edges, _ = section_of_cells(data, axis, at)
     for name, colour in colours_of(data.regions).items():
         region_polygons = [
             x[data.cell_tags[cell] == data.regions[name]][..., [u, v]] for x, cell in polygons
@@ -209,7 +213,7 @@ def interfaces(data: MeshData, path: Path, title: str = "") -> None:
     stem, bone = (interface_facets(data, name) for name in INTERFACES)
     patches = [triangles(data.points, facets) for facets, _, _ in (stem, bone)]
     middle = patches[1].mean(axis=1)
-    thickness = distance(middle, patches[0])
+    thickness = distance_from_triangles(middle, patches[0])
     is_around_stem = middle[:, 2] > patches[0][:, :, 2].min()
     colour_map = ScalarMappable(
         Normalize(np.floor(thickness.min()), np.ceil(thickness[is_around_stem].max())),
@@ -228,14 +232,14 @@ def interfaces(data: MeshData, path: Path, title: str = "") -> None:
     for k, facets in enumerate((stem[0], bone[0])):
         for view in FRONT_AND_SIDE:
             ax = next(axes)
-            surface(
+            draw_surface(
                 ax, data.points[facets], patches[k], (stem_colours, bone_colours)[k], edges[k], view
             )
             ax.set_title(f"{INTERFACES[k]}\nfrom {view}")
     figure.axes[0].set_ylabel("z (mm)")
     figure.colorbar(colour_map, ax=figure.axes, label="thickness of the cement (mm)", shrink=0.5)
     _legend_of_edges(figure, title)
-    figures.save(figure, path, 95, PNG)
+    figures.save_figure(figure, path, 95, PNG)
 
 
 def _legend_of_edges(figure: Figure, title: str) -> None:
@@ -249,8 +253,8 @@ def _stem_in_bone(data: MeshData, path: Path, title: str) -> None:
     """Write a PNG of the surface of a stem without cement."""
     facets, _, cells = interface_facets(data, "stem_bone")
     pieces = triangles(data.points, facets)
-    outside = triangles(data.points, boundary_facets(data, "bone_surface"))
-    thickness = distance(pieces.mean(axis=1), outside)
+    outside = triangles(data.points, nodes_of_boundary_facets(data, "bone_surface"))
+    thickness = distance_from_triangles(pieces.mean(axis=1), outside)
     colour_map = ScalarMappable(Normalize(0.0, np.ceil(thickness.max())), colormaps["viridis"])
     on_cortex = data.cell_tags[cells] == data.regions.get("cortical_bone")
     edges = np.where(on_cortex, CORTEX, "k")
@@ -260,16 +264,16 @@ def _stem_in_bone(data: MeshData, path: Path, title: str) -> None:
         figure.subplots(1, 2, sharey=True, width_ratios=widths), FRONT_AND_SIDE, strict=True
     ):
         colours = colour_map.to_rgba(thickness)[:, :3]
-        surface(ax, data.points[facets], pieces, np.asarray(colours), edges, view)
+        draw_surface(ax, data.points[facets], pieces, np.asarray(colours), edges, view)
         ax.set_title(f"stem_bone\nfrom {view}")
     figure.axes[0].set_ylabel("z (mm)")
     label = "bone between the stem and the outer surface (mm)"
     figure.colorbar(colour_map, ax=figure.axes, label=label, shrink=0.5)
     _legend_of_edges(figure, title)
-    figures.save(figure, path, 95, PNG)
+    figures.save_figure(figure, path, 95, PNG)
 
 
-def surface(
+def draw_surface(
     ax: Axes,
     facets: Floats,
     pieces: Floats,

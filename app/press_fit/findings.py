@@ -15,7 +15,7 @@ from app.case.hips import ON_CUT
 from app.case.quantities import TABLE, in_print
 from app.case.summary import Numbers, Summary
 from app.foundation.verdict import Severity, Verdict, note
-from app.laws.interface_laws import InterfaceLaw, SurfaceZone, insertion_stages
+from app.laws.interface_laws import GapKeys, insertion_stages
 from app.results.closing_lines import CEMENT
 from app.results.verdicts import result_verdict
 from app.schema.yaml_file import Fault
@@ -111,9 +111,9 @@ def _areas(name: str, motion: str, q: Numbers) -> str:
     return text
 
 
-def _most_interference(part: InterfaceLaw | SurfaceZone) -> tuple[str, float]:
+def _most_interference(surface: GapKeys) -> tuple[str, float]:
     """Key and largest number of an interference, also of a negative gap [mm]; 0 of expressions."""
-    interference, gap = getattr(part, "interference", None), getattr(part, "gap", None)
+    interference, gap = surface.interference, surface.gap
     if isinstance(interference, tuple):
         return "interference", max(length for _, length in interference)
     if isinstance(interference, float):
@@ -129,16 +129,14 @@ def _interference(case: Case) -> Iterable[Verdict]:
         first, second = case.geometry.interface_sides[name]
         if not bones.intersection((*first, *second)):
             continue
-        parts: dict[str, InterfaceLaw | SurfaceZone] = {f"interfaces.{name}": law}
-        for zone_name, zone in law.surface_zones.items():
-            parts[f"interfaces.{name}.zones.{zone_name}"] = zone
-        for place, part in parts.items():
-            key, most = _most_interference(part)
+        for path, surface in law.gaps.items():
+            key, most = _most_interference(surface)
             if most > MUCH_INTERFERENCE:
                 pressed = "presses bone by" if key == "interference" else "is an interference of"
                 message = f"{pressed} {most:g} mm; bone is elastic here and is not crushed"
                 usual = "0.01 to 0.02 mm" if key == "interference" else "-0.01 to -0.02 mm"
-                yield note(message, f"{place}.{key}", f"usual: {usual}, along the normal")
+                place = ".".join(("interfaces", name, *path, key))
+                yield note(message, place, f"usual: {usual}, along the normal")
 
 
 @result_verdict

@@ -46,9 +46,8 @@ def _stages_and_regions(case: Case) -> Iterable[Fault]:
             )
             yield Fault(("remodelling", "regions"), message)
         elif not region.modulus_field:
-            E, (lowest, highest) = getattr(region, "youngs_modulus", None), law.density
-            moduli = [v for _, v in E] if isinstance(E, tuple) else region.moduli[:1]
-            for rho in density(law.law, moduli):
+            lowest, highest = law.density
+            for rho in density(law.law, region.axial_moduli):
                 if not lowest <= rho <= highest:
                     message = (
                         f"has {rho:.4g} g/cm3 by `remodelling.law`; expected {lowest:g} to"

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from app.case.case import Case, load
+from app.case.case import Case, load_case
 from app.foundation.arrays import Floats
 from app.foundation.errors import ConvergenceError, InputError
 from app.mechanics.body_forms import BodyForms
@@ -50,7 +50,7 @@ def intact_case(law: Remodelling, operated: Case, regions: tuple[str, ...]) -> C
         InputError: It cannot be read, or lacks a region or a load case.
     """
     assert law.intact is not None
-    case = load(law.intact).config
+    case = load_case(law.intact).config
     existing_names = {"region": [*case.regions], "stage": [stage.name for stage in case.stages]}
     for kind, needed_names in (("region", regions), ("stage", law.load_cases)):
         missing = [name for name in needed_names if name not in existing_names[kind]]
@@ -74,12 +74,14 @@ def interpolate_stimulus(stimulus: Floats, forms: BodyForms, target_forms: BodyF
         vertices = forms.vertices(region)
         corners, corner_values = (forms.mesh.comm.allgather(v[vertices]) for v in (x, values))
         columns.append(
-            interpolated(np.concatenate(corners), np.concatenate(corner_values), target_points)
+            values_in_nearest_cells(
+                np.concatenate(corners), np.concatenate(corner_values), target_points
+            )
         )
     return np.column_stack(columns)
 
 
-def interpolated(corners: Floats, values: Floats, x: Floats) -> Floats:
+def values_in_nearest_cells(corners: Floats, values: Floats, x: Floats) -> Floats:
     """Values at points (n, 3), linear in cells of vertices (m, 4, 3) with values (m, 4).
 
     A point outside all cells has a value on the surface of the nearest cell: its negative

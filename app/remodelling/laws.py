@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 
 from app.case.case import Case
 from app.foundation.arrays import Floats
-from app.laws.densities import LEAST, Law, modulus
+from app.laws.densities import LEAST, Law, modulus_of_density
 from app.schema.expressions import Varying
 from app.schema.paths import File
 from app.schema.section import ITEMS, Name, Pair, Section, fail
@@ -70,7 +70,9 @@ class Remodelling(Section):
         if lowest >= highest:
             message = f"{lowest:g} is not below {highest:g} g/cm3; expected the smaller one first"
             fail(message, ("density",))
-        E = modulus(self.law, [lowest + (highest - lowest) * k / 200 for k in range(201)])
+        E = modulus_of_density(
+            self.law, [lowest + (highest - lowest) * k / 200 for k in range(201)]
+        )
         if not all(E[1:] > E[:-1]):
             fail("does not rise between the bounds of the density", at=("law",))
         if isinstance(self.stimulus, float) and self.stimulus <= 0:

@@ -26,7 +26,7 @@ from app.remodelling.stimulus import TINY, Stimulus
 from app.scene.bodies import FACET_NODES, boundary_facets
 from app.scene.scene import Stage
 from app.simulation.model import Model
-from app.soundness.failure import explain
+from app.soundness.failure import explanation_of_failure
 from app.stepping.advance import Growth, Progress, Step, advance
 from app.stepping.load_steps import LoadStepper
 
@@ -156,7 +156,7 @@ class Remodeller:
 
     def _failure(self) -> ConvergenceError:
         progress = self.progress
-        cause = explain(self._problem, self._stepper.solver, self._stimulus.outcome)
+        cause = explanation_of_failure(self._problem, self._stepper.solver, self._stimulus.outcome)
         return cause.error(self._stage.name, progress.done, [progress.step])
 
     # Control of the steps

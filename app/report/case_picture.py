@@ -21,13 +21,20 @@ from matplotlib.colors import to_rgb
 
 from app.case.case import Case
 from app.foundation.arrays import Floats, Ints
+from app.laws.heat_conditions import HeatCondition
+from app.laws.supports import AnySupport
 from app.plots import figures, sections
 from app.plots.figures import COLOURS, PNG, handles
 from app.plots.sections import AXES
-from app.schema.section import Section
 from app.soundness import preview
-from app.system.layout import plain
-from meshes.data import MeshData, boundary_facets, cell_volumes, exterior_facets, interface_facets
+from app.system.layout import plain_text
+from meshes.data import (
+    MeshData,
+    cell_volumes,
+    exterior_facets,
+    interface_facets,
+    nodes_of_boundary_facets,
+)
 
 # Anatomical names of the negative and positive ends of the axes x, y, z of a femur.
 AXIS_ENDS = (("lateral", "medial"), ("posterior", "anterior"), ("distal", "proximal"))
@@ -184,7 +191,7 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
             frameon=False,
             fontsize=FONT_SIZE,
         )
-    figures.save(figure, path, 110, PNG)
+    figures.save_figure(figure, path, 110, PNG)
 
 
 def _region_labels(data: MeshData) -> list[str]:
@@ -207,33 +214,35 @@ def _bodies(view: View, data: MeshData, name: str, facets: Ints, cells: Ints) ->
     pale = 0.5 + 0.5 * np.array([(0, 0, 0), *map(to_rgb, colours.values())])
     x = data.points[facets]
     grey = np.full((len(x), 3), 0.7)
-    sections.surface(view.ax, x, x[:, :3], pale[data.cell_tags[cells]], grey, name)
-    sections.fill(view.ax, data, view.toward, view.section_at)
+    sections.draw_surface(view.ax, x, x[:, :3], pale[data.cell_tags[cells]], grey, name)
+    sections.draw_section(view.ax, data, view.toward, view.section_at)
 
 
 def _lines(view: View, case: Case, data: MeshData) -> None:
     """Draw sections of interfaces, supports and heat conditions."""
     for (name, law), colour in zip(case.interfaces.items(), INTERFACE_COLOURS, strict=False):
-        friction = getattr(law, "friction_coefficient", None)
-        law_text = f"{law.kind}, friction {plain(friction)}" if friction else law.kind
+        friction = law.friction_outside_zones
+        law_text = f"{law.kind}, friction {plain_text(friction)}" if friction else law.kind
         for zone_name, zone in law.surface_zones.items():
             if zone.friction_coefficient is not None:
-                law_text += f", {zone_name.replace('_', ' ')} {plain(zone.friction_coefficient)}"
+                law_text += (
+                    f", {zone_name.replace('_', ' ')} {plain_text(zone.friction_coefficient)}"
+                )
         triangles_of_interface = [data.points[interface_facets(data, name)[0][:, :3]]]
         triangles_of_interface += [_boundary(data, face) for face in case.faces.get(name, ())]
         label = f"{name.replace('_', '-')}: {law_text}"
         style = "-" if law.can_part else "--"
         view.lines(np.concatenate(triangles_of_interface), colour, label, style=style)
-    conditions: list[tuple[str, str, str, Section]] = []
+    conditions: list[tuple[str, str, str, AnySupport | HeatCondition]] = []
     conditions += [
         ("support", SUPPORT, name, condition) for name, condition in case.supports.items()
     ]
     conditions += [("heat", HEAT, name, condition) for name, condition in case.heat.items()]
     for kind_label, colour, name, condition in conditions:
-        facets = _boundary(data, getattr(condition, "boundary", ""))
+        facets = _boundary(data, condition.boundary or "")
         middles = view.lines(facets, colour, kind_label, width=4.0, alpha=0.8)
         keys = condition.model_dump(mode="json", exclude_none=True)
-        held_values = [f"{k} {plain(keys[k])}" for k in ("axis", "x", "y", "z") if k in keys]
+        held_values = [f"{k} {plain_text(keys[k])}" for k in ("axis", "x", "y", "z") if k in keys]
         if len(middles):
             outwardness = np.abs(middles - middles.mean(axis=0)) @ (1.0, -0.3)
             label_text = f"{name.replace('_', ' ')}\n{', '.join([keys['kind'], *held_values])}"
@@ -262,7 +271,7 @@ def _continued(view: View, level: float | None) -> None:
 
 def _boundary(data: MeshData, name: str) -> Floats:
     """Triangles of a boundary (n, 3, 3) [mm]."""
-    return data.points[boundary_facets(data, name)[:, :3]]
+    return data.points[nodes_of_boundary_facets(data, name)[:, :3]]
 
 
 def _forces(case: Case, data: MeshData) -> Iterator[Force]:
@@ -272,11 +281,11 @@ def _forces(case: Case, data: MeshData) -> Iterator[Force]:
         area_vectors, places = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) / 2, x.mean(axis=1)
         facet_sizes = np.linalg.norm(area_vectors, axis=1, keepdims=True)
         label_text = f"{name.replace('_', ' ')}\n"
-        history_text = f" × {plain(load.history)}" if load.history else ""
+        history_text = f" × {plain_text(load.history)}" if load.history else ""
         if load.normal_pressure is not None:
             facet_forces = -load.normal_pressure * facet_sizes.sum() * area_vectors / facet_sizes
             yield (
-                f"{label_text}{plain(load.normal_pressure)} MPa{history_text}",
+                f"{label_text}{plain_text(load.normal_pressure)} MPa{history_text}",
                 places,
                 facet_forces,
             )

@@ -23,10 +23,10 @@ from app.report import (
 )
 from app.report.compared_numbers import ComparedNumber
 from app.report.page import Block, LargeNumber, PageSection, bullets, table
-from app.report.sweep_results import Json, SweptCase
+from app.report.sweep_results import Json, SweptCase, headlines
 from app.results.verdicts import notes_of
 from app.system.folders import write_text
-from app.system.layout import noted, plain, several
+from app.system.layout import noted, plain_text, several
 
 # Runs of a page: a browser draws some sixteen views.
 MOST = 8
@@ -75,7 +75,7 @@ def write(folders: Sequence[Path], path: Path) -> Path:
 def _page(folders: Sequence[Path]) -> str:
     names = viewer.distinct(folders)
     cases = [run_report.opened(folder) for folder in folders]
-    numbers = compared_numbers.compared(cases)
+    numbers = compared_numbers.compared_numbers(cases)
     if not numbers:
         raise InputError(f"{', '.join(map(str, folders))}: these runs have no numbers in common")
     view = viewer.viewer(dict(zip(names, folders, strict=True)))
@@ -90,14 +90,14 @@ def _page(folders: Sequence[Path]) -> str:
         [
             PageSection("differences", "Numbers", _numbers(names, cases, numbers)),
             PageSection("strains", "Strain of the cortex", _strains(names, cases)),
-            PageSection("paths", "Along paths", path_curves.compared(names, cases)),
+            PageSection("paths", "Along paths", path_curves.path_blocks_of_runs(names, cases)),
             PageSection("maps", "Maps of the differences", _maps(names, cases)),
             PageSection("input", "Input that differs", _input(names, cases)),
         ],
         bullets(status) + page.folded(f"{noted_text} on the input", bullets(notes)),
         facts=" · ".join(names),
         lead=_lead(names[0], numbers),
-        large=_largest(names, numbers, sweep_figures.headlines(cases)),
+        large=_largest(names, numbers, headlines(cases)),
         view=view,
         note=note if view and not all_differences else "",
     )
@@ -185,7 +185,9 @@ def _strains(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:
         lines = []
         for k, (name, case) in enumerate(zip(names, cases, strict=True)):
             keys = {-z: f"femur.strain_{side}_{gauge}" for gauge, z in quantities.GAUGES.items()}
-            line = sweep_figures.line_of(name, k, {z: case.number(key) for z, key in keys.items()})
+            line = sweep_figures.curve_of_numbers(
+                name, k, {z: case.number(key) for z, key in keys.items()}
+            )
             if line.x:
                 lines.append(line)
         if len(lines) > 1:
@@ -225,4 +227,4 @@ def _flat(values: Json, path: str = "") -> Iterator[tuple[str, str]]:
         if isinstance(value, dict):
             yield from _flat(value, f"{path}{key}.")
         else:
-            yield f"{path}{key}", plain(value)
+            yield f"{path}{key}", plain_text(value)

@@ -126,7 +126,7 @@ def _significance(a: Number, b: Number) -> float:
     return abs(b.value - a.value) / error if error else math.inf
 
 
-def compared(cases: Sequence[SweptCase]) -> list[ComparedNumber]:
+def compared_numbers(cases: Sequence[SweptCase]) -> list[ComparedNumber]:
     """Return every number that at least two runs have, the most significant difference first.
 
     Numbers with known errors come first, ordered by difference over error. Those without follow,
@@ -173,8 +173,8 @@ def _all_numbers(cases: Sequence[SweptCase]) -> Iterator[ComparedNumber]:
                     if owner_numbers.get(quantity.key) is not None and not is_place_of_maximum:
                         keys |= {f"{owner}.{name}": owner for name in quantity.names}
     for key, owner in keys.items():
-        q = quantities.find(key)
-        label, unit = quantities.in_words(key)
+        q = quantities.quantity_or_fail(key)
+        label, unit = quantities.label_and_unit(key)
         values = tuple(case.number(key) for case in cases)
         if q.exact:
             values = tuple(n and Number(n.value, 0.0) for n in values)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypedDict
 
 import configs
 from app.case import credibility, quantities
-from app.case.case import Case, load
+from app.case.case import Case, load_case
 from app.case.credibility import FACTORS, RISKS, FactorName, Grade
 from app.case.geometries import MeshFile
 from app.case.library import ORIGIN
@@ -32,7 +32,7 @@ from app.results.reading import Results
 from app.results.verdicts import CONTACT, EQUILIBRIUM, HEAT, PEAKS
 from app.schema.section import Section
 from app.system.folders import read_json, write_json, write_text
-from app.system.layout import plain, several
+from app.system.layout import plain_text, several
 
 if TYPE_CHECKING:
     from app.results.run_folder import Provenance
@@ -212,13 +212,13 @@ def write(folders: Sequence[Path], spread: Path | None = None) -> list[Path]:
         checks += _checks(folder)
     swept = SweptCase(run.folder.name, run.folder, CONVERGED)
     basis = Evidence(
-        load(run.folder / "case.yaml").config,
+        load_case(run.folder / "case.yaml").config,
         run.summary,
         read_json(run.folder / "provenance.json"),
         [c for c in checks if c["group"] != "validation"],
         [c for c in checks if c["group"] == "validation"],
         swept,
-        input_spread.of_run(spread, swept) if spread else None,
+        input_spread.input_spread_of_run(spread, swept) if spread else None,
     )
     factors = assessed(basis)
     write_json(run.folder / "evidence.json", _content(basis.case, factors))
@@ -779,7 +779,7 @@ def methods(folder: Path) -> Path:
         InputError: The folder has no finished run.
     """
     run = _finished(folder)
-    case, record = load(folder / "case.yaml").config, read_json(folder / "provenance.json")
+    case, record = load_case(folder / "case.yaml").config, read_json(folder / "provenance.json")
     methods_text = "\n\n".join(_paragraphs(case, run.summary, record))
     write_text(folder / "methods.md", methods_text + "\n")
     return folder / "methods.md"
@@ -821,5 +821,5 @@ def _values(part: Section) -> str:
     fields = part.model_dump(mode="json", exclude_none=True, exclude={"tissue", *ORIGIN})
     given_fields = {key: value for key, value in fields.items() if value not in ([], {}, "")}
     return ", ".join(
-        f"{key.replace('_', ' ')} {plain(value)}" for key, value in given_fields.items()
+        f"{key.replace('_', ' ')} {plain_text(value)}" for key, value in given_fields.items()
     )

@@ -102,13 +102,13 @@ def _influence(record: FitRecord) -> tuple[list[str], list[list[str]]]:
     short_names = short_keys(list(record["keys"]))
     rows = []
     for name, row in record["numbers"].items():
-        q = quantities.find(name)
+        q = quantities.quantity_or_fail(name)
         cells = []
         for key in record["keys"]:
             change = row["derivatives"].get(key)
             cells.append("-" if change is None else f"{q.factor * change:+.3g}")
         if any(cell != "-" for cell in cells):
-            rows.append([quantities.titled(name), *cells])
+            rows.append([quantities.label_with_unit(name), *cells])
     return ["number", *short_names.values()], rows
 
 
@@ -168,13 +168,13 @@ def _caption(record: FitRecord) -> str:
 def _draw(record: FitRecord, path: Path) -> None:
     """Draw misfit or objective over the runs, keys over the runs, and two keys over each other."""
     keys = [*record["keys"]]
-    figure, all_axes = figures.panels(2 + (len(keys) > 1), 3, 4.6, 3.7)
+    figure, all_axes = figures.figure_of_panels(2 + (len(keys) > 1), 3, 4.6, 3.7)
     _draw_aim(all_axes[0], record)
     _draw_keys(all_axes[1], record)
     if len(keys) > 1:
         _draw_plane(all_axes[2], record)
     figures.legend_below(figure, 5, last=curves.FAILED)
-    figures.save(figure, path, curves.DPI, PNG)
+    figures.save_figure(figure, path, curves.DPI, PNG)
 
 
 def _steps(record: FitRecord) -> list[tuple[int, FitRow]]:
@@ -192,13 +192,13 @@ def _draw_aim(axes: Axes, record: FitRecord) -> None:
     axes.set_xlabel("run")
     value_of_run = {}
     if record["aim"] == "targets":
-        figures.title(axes, "Misfit")
+        figures.set_title(axes, "Misfit")
         value_of_run = {i: r["misfit"] for i, r in _steps(record) if r["misfit"] is not None}
         axes.set_yscale("log")
         value_of_run = {i: max(value, LEAST_MISFIT) for i, value in value_of_run.items()}
     else:
         objective = record["objective"]
-        figures.title(axes, _title(record, objective))
+        figures.set_title(axes, _title(record, objective))
         for i, run in _steps(record):
             value = _value(record, run, objective)
             if value is not None:
@@ -217,7 +217,7 @@ def _value(record: FitRecord, run: FitRow, name: str) -> float | None:
         fraction = run["shares"][[*record["keys"]].index(name)]
         return None if run["exit_code"] else _of_share(record, name, fraction)
     value = run["numbers"].get(name)
-    return None if value is None else quantities.find(name).factor * value
+    return None if value is None else quantities.quantity_or_fail(name).factor * value
 
 
 def _of_share(record: FitRecord, key: str, fraction: float) -> float:
@@ -231,7 +231,7 @@ def _of_share(record: FitRecord, key: str, fraction: float) -> float:
 def _title(record: FitRecord, name: str) -> str:
     """Label of a number or a key with its unit."""
     if name not in record["keys"]:
-        return quantities.titled(name)
+        return quantities.label_with_unit(name)
     unit = record["keys"][name]["unit"]
     key_title = short_keys(list(record["keys"]))[name].replace("_", " ")
     return f"{key_title} ({unit})" if unit else key_title
@@ -239,7 +239,7 @@ def _title(record: FitRecord, name: str) -> str:
 
 def _draw_keys(axes: Axes, record: FitRecord) -> None:
     """Draw the keys as fractions of their ranges over the number of the run."""
-    figures.title(axes, "Keys, as fractions of their ranges")
+    figures.set_title(axes, "Keys, as fractions of their ranges")
     figures.grid(axes)
     axes.set(xlabel="run", ylim=(-0.05, 1.05))
     steps = _steps(record)
@@ -252,7 +252,7 @@ def _draw_keys(axes: Axes, record: FitRecord) -> None:
 def _draw_plane(axes: Axes, record: FitRecord) -> None:
     """Draw the steps in the plane of the first two keys, with the ellipse of 95 %."""
     first_key, second_key = [*record["keys"]][:2]
-    figures.title(axes, "Path in the plane of two keys")
+    figures.set_title(axes, "Path in the plane of two keys")
     figures.grid(axes)
     axes.set(xlabel=_title(record, first_key), ylabel=_title(record, second_key))
 

@@ -165,14 +165,14 @@ def shielding_picture(
             axes.bar(positions, percent, 0.94 * width, color=figures.colour(k), label=stem)
         axes.axhline(0, color="0.2", lw=0.8)
         axes.axvline(FRONTAL + 0.5, color="0.6", lw=0.8, ls=":")
-        figures.title(axes, BONES[bone])
+        figures.set_title(axes, BONES[bone])
         axes.set_ylabel("change of strain\nenergy density (%)")
         figures.grid(axes, "y")
         axes.set_xticks(range(1, 15))
     grid[-1].set_xlabel("Gruen zone (1 to 7 frontal, 8 to 14 lateral view)")
     handles, labels = grid[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right upper", frameon=False)
-    figures.save(figure, folder / "shielding.png", 120)
+    figures.save_figure(figure, folder / "shielding.png", 120)
     caption = (
         "Stress shielding: strain energy per volume of bone against the intact femur"
         f" ({intact.name}). Below zero the stem takes load from the bone."

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.campaigns import uncertainty
-from app.case.quantities import TABLE, Quantity, numbers_of, titled
+from app.case.quantities import TABLE, Quantity, label_with_unit, numbers_of
 from app.case.summary import Numbers
 from app.foundation.errors import InputError
-from app.report.sweep_figures import title
+from app.report.sweep_keys import key_in_words
 from app.report.sweep_results import SweptCase, read
-from app.system.layout import plain
+from app.system.layout import plain_text
 
 # Fewest samples for a 5th and a 95th percentile.
 FEWEST = 10
@@ -57,7 +57,7 @@ class InputSpread:
         return (
             spread["p5"],
             spread["p95"],
-            f"{title(strongest_input)} ({rank:+.2f})" if is_clear else "",
+            f"{key_in_words(strongest_input)} ({rank:+.2f})" if is_clear else "",
         )
 
     def cells(self, name: str, q: Quantity, numbers: Numbers) -> list[str]:
@@ -65,7 +65,7 @@ class InputSpread:
         value, _, error = q.text(numbers).partition(" ± ")
         lowest, highest, strongest = self.range_of(name) or (None, None, "-")
         range_text = "-" if lowest is None else f"{lowest:.{q.digits}f} to {highest:.{q.digits}f}"
-        return [titled(name), value, error or "-", range_text, strongest or "none clearly"]
+        return [label_with_unit(name), value, error or "-", range_text, strongest or "none clearly"]
 
     def sentence(self, run: SweptCase) -> str:
         """Compare mesh and inputs as sources of uncertainty of the main numbers, in sentences."""
@@ -97,7 +97,7 @@ class InputSpread:
         )
 
 
-def of_run(folder: Path, run: SweptCase) -> InputSpread:
+def input_spread_of_run(folder: Path, run: SweptCase) -> InputSpread:
     """Read the samples of a run's case from the folder of a sweep.
 
     Raises:
@@ -137,4 +137,4 @@ def _differences(
         input_keys = [key.partition("[")[0] for key in inputs]
         if any(f"{path}.".startswith(f".{key}.") for key in input_keys):
             return
-        yield f"{path[1:]} is {plain(sample)} there, not {plain(run)}"
+        yield f"{path[1:]} is {plain_text(sample)} there, not {plain_text(run)}"

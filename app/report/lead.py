@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from itertools import chain, zip_longest
 
-from app.case.quantities import NECROSIS, TABLE, in_print, in_words, printed
+from app.case.quantities import NECROSIS, TABLE, in_print, label_and_unit, printed
 from app.case.summary import Numbers, Summary, name_of_implant
 from app.report.page import LargeNumber, spelled_out
 from app.report.sweep_results import SweptCase, magnitude, named
@@ -226,11 +226,11 @@ def _stresses(summary: Summary) -> Iterator[LargeNumber]:
 # Many runs
 
 
-def spread(cases: Sequence[SweptCase], names: Sequence[str]) -> list[LargeNumber]:
+def ranges_over_runs(cases: Sequence[SweptCase], names: Sequence[str]) -> list[LargeNumber]:
     """Return the ranges of slip, gap and temperature over several runs, at most `MOST`."""
     numbers = []
     for name, extremes in ranges(cases, names):
-        title, unit = in_words(name)
+        title, unit = label_and_unit(name)
         lowest, highest = (f"{_zero_if_small(value):.3g}" for value, _ in extremes)
         if lowest == highest:
             continue

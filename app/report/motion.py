@@ -19,7 +19,7 @@ from app.case.quantities import printed
 from app.foundation.arrays import Bools, Ints
 from app.foundation.errors import InputError, StoppedError
 from app.plots import figures
-from app.plots.sections import METAL, VIEWS, surface
+from app.plots.sections import METAL, VIEWS, draw_surface
 from app.report import viewer
 from app.report.viewer import ShownField
 from app.results.reading import Run
@@ -84,7 +84,7 @@ def _shown(run: Run, name: str) -> tuple[ShownField, Ints, list[str]]:
     Raises:
         InputError: The run has no such field.
     """
-    kinds = viewer.kinds_of(run)
+    kinds = viewer.fields_to_show(run)
     field_by_name = {kind.name: kind for kind in kinds}
     outsides = viewer.outsides(run, curved=False)
     chosen_name = name or str(viewer.opening(run, kinds, outsides)["field"])
@@ -150,7 +150,7 @@ def _draw(
             triangle_colours[~is_on_interface] = grey
             for ax, view in zip(axes, views, strict=True):
                 ax.clear()
-                surface(
+                draw_surface(
                     ax, moved_triangles, moved_triangles, np.asarray(triangle_colours), None, view
                 )
                 across, leftward, _ = VIEWS[view]

@@ -15,7 +15,7 @@ from typing import ClassVar, NamedTuple
 
 from app.plots.curves import Drawing
 from app.plots.figures import SUFFIXES
-from app.system.layout import plain
+from app.system.layout import plain_text
 
 # CSS class, which sets the colour, of a word at the beginning of a text.
 CLASSES = {
@@ -229,7 +229,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[Cell]]) -> list[Block]:
 
 def pairs(values: Mapping[str, object]) -> list[Block]:
     """Return a table of names and values."""
-    return table(["", ""], [[str(k).replace("_", " "), plain(v)] for k, v in values.items()])
+    return table(["", ""], [[str(k).replace("_", " "), plain_text(v)] for k, v in values.items()])
 
 
 def drawings(panels: Sequence[Drawing], caption: str = "") -> list[Block]:

@@ -17,7 +17,7 @@ from app.report.sweep_results import SweptCase, named
 from app.results.path_tables import ARC, PLACES, REGION
 from app.results.reading import PathTable
 from app.scene.path_fields import field_of
-from app.system.layout import plain
+from app.system.layout import plain_text
 
 # Largest number of steps of a run in one panel.
 MOST_STEPS = 5
@@ -27,11 +27,11 @@ ABOUT = ("step", "time [-]", "seconds [s]", ARC, *PLACES, REGION)
 GAPS = "Curves have gaps where the path is outside."
 
 
-def of_run(case: SweptCase) -> list[Block]:
+def path_blocks_of_run(case: SweptCase) -> list[Block]:
     """Draw the paths of a run: a panel for each field, a curve for each drawn step (`_steps`)."""
     blocks: list[Block] = []
     for name, table in case.paths.items():
-        drawings = [drawing(panel) for panel in panels(table, stages_of(case))]
+        drawings = [drawing(panel) for panel in panels_of_path(table, stages_of(case))]
         blocks += page.titled(named(name), page.drawings(drawings, GAPS if has_gaps(table) else ""))
     return blocks
 
@@ -46,7 +46,7 @@ def has_gaps(table: PathTable) -> bool:
     return bool((table[REGION] == "").any())
 
 
-def panels(table: PathTable, stages: Sequence[str], title: str = "") -> list[Panel]:
+def panels_of_path(table: PathTable, stages: Sequence[str], title: str = "") -> list[Panel]:
     """Return a panel for each field of a path.
 
     Args:
@@ -70,7 +70,7 @@ def fields_of(table: PathTable) -> list[str]:
     return [title for title in table if title not in ABOUT]
 
 
-def compared(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:
+def path_blocks_of_runs(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:
     """Draw the paths that several runs have at their last steps, and list the others."""
     blocks: list[Block] = []
     unshared_paths: list[str] = []
@@ -91,7 +91,9 @@ def compared(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:
         keys = [_definition(cases[k], path) for k in runs]
         caption = ""
         if any(key != keys[0] for key in keys):
-            keys_of_runs = (f"{names[k]}: {plain(key)}" for k, key in zip(runs, keys, strict=True))
+            keys_of_runs = (
+                f"{names[k]}: {plain_text(key)}" for k, key in zip(runs, keys, strict=True)
+            )
             caption = f"The keys of the path differ: {'; '.join(keys_of_runs)}"
         blocks += page.titled(named(path), page.drawings(drawings, caption))
     return blocks + bullets(unshared_paths)

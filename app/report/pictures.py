@@ -32,11 +32,10 @@ from app.foundation.errors import MantleError
 from app.plots import figures
 from app.plots import maps as plane
 from app.plots.figures import HEAT, LOADED, SEQUENTIAL, SIGNED
-from app.plots.sections import VIEWS, surface
+from app.plots.sections import VIEWS, draw_surface
 from app.report import lead
 from app.report.page import Figure
-from app.report.sweep_figures import headlines
-from app.report.sweep_results import WORDS, SweepResults, SweptCase, named
+from app.report.sweep_results import WORDS, SweepResults, SweptCase, headlines, named
 from app.report.viewer import (
     INTERFACE,
     cells_of,
@@ -265,7 +264,7 @@ def sheet(
         if not body_and_triangles:
             return None
         triangles = body_and_triangles[1]
-        cup = spread(run.points[triangles])
+        cup = flattened_cup(run.points[triangles])
         if cup is not None:
             return Sheet(cup, triangles, False, True)
     if around_z:
@@ -281,7 +280,7 @@ def sheet(
     return Sheet(x @ (plane * np.sign(np.diag(signs)))[:, 1:], triangles, False)
 
 
-def spread(x: Floats) -> Floats | None:
+def flattened_cup(x: Floats) -> Floats | None:
     """Spread the triangles of a cup (m, 3, 3) [mm] into the plane (m, 3, 2) [mm].
 
     The pole is in the middle, and distances from it are arc lengths. None if the triangles are not
@@ -346,7 +345,7 @@ def draw(
         axes.set_title(title, fontsize=10)
     for axes in grid[:, 0]:
         axes.set_ylabel("height (mm)" if round else "mm")
-    figures.save(figure, path, 160, suffixes)
+    figures.save_figure(figure, path, 160, suffixes)
     return [label for label, *_ in rows]
 
 
@@ -450,7 +449,7 @@ def sides(run: Run, folder: Path) -> list[Figure]:
             colour = scale.to_rgba(values[triangles].mean(axis=1))[:, :3]
             x, views = run.points[triangles], [next(panels) for _ in VIEWS]
             for ax, view in zip(views, VIEWS, strict=True):
-                surface(ax, x, x, colour, None, view)
+                draw_surface(ax, x, x, colour, None, view)
                 ax.set_title(view, fontsize=8)
                 ax.set_axis_off()
             extend = "max" if values.max() > highest * (1 + 1e-6) else "neither"
@@ -459,7 +458,7 @@ def sides(run: Run, folder: Path) -> list[Figure]:
             )
             largest = "largest mean at a node" if quantity in TRACTIONS else "largest"
             bar.set_label(f"{label} on the {named(body)} ({unit}), {largest} {values.max():.3g}")
-    figures.save(figure, folder / f"{SIDES}.png", 130)
+    figures.save_figure(figure, folder / f"{SIDES}.png", 130)
     interface_names = " and ".join(name.replace("_", "-") for name in side_of_interface)
     motions = dict.fromkeys(next(iter(_on_sides(run, name))) for name in side_of_interface)
     motion_words = " or ".join(motions).capitalize()

@@ -77,7 +77,7 @@ def write(case: Case, source: Path, path: Path) -> Path:
         raise InputError("mantle place: three.js is missing; install the package libjs-three")
     _refuse_other_file(path)
     module_folder = Path(__file__).parent
-    head, numbers = packed(geometry, case.title or source.stem, source)
+    head, numbers = packed_placement(geometry, case.title or source.stem, source)
     script_texts = [script.read_text("utf-8") for script in scripts]
     html = page.render(
         "placement.html",
@@ -112,14 +112,16 @@ def _refuse_other_file(path: Path) -> None:
         raise InputError(f"-o {path}: cannot be replaced: {error.strerror}") from error
 
 
-def packed(geometry: OperatedHip, title: str, source: Path) -> tuple[dict[str, object], bytes]:
+def packed_placement(
+    geometry: OperatedHip, title: str, source: Path
+) -> tuple[dict[str, object], bytes]:
     """The input of `placement.js`: numbers and texts, and the arrays.
 
     Raises:
         GeometryError: The shaft's axis leaves the bone.
     """
     numbers, femur, insertion = PackedArrays(), geometry.femur, geometry.insertion
-    canal, start = room.canal(geometry), position(geometry)
+    canal, start = room.widest_canal(geometry), position(geometry)
     placement = geometry.placement
     edge = femur_stem.shoulder_plane_height(geometry.implant, placement.slopes[0])
     start = replace(start, depth=float(placement.top) - edge)
@@ -210,7 +212,9 @@ def _packed_stem(
     thickness = best_position.wanted_thickness(geometry, geometry.placement)
     for depth in DEPTHS:
         start_position = replace(start, depth=float(depth))
-        bests.append(_shown(best_position.best(canal, stem, start_position, limits, thickness)))
+        bests.append(
+            _shown(best_position.roomiest_position(canal, stem, start_position, limits, thickness))
+        )
     surface: dict[str, object] = {"points": None}
     if stem.points is not None:
         surface = {"points": numbers.described(stem.points.astype(np.float32))}

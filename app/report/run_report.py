@@ -22,7 +22,7 @@ import matplotlib as mpl
 
 import meshes
 from app.case import quantities
-from app.case.case import load
+from app.case.case import load_case
 from app.case.quantities import TABLE, Quantity, in_print, printed
 from app.case.summary import Numbers, Summary, name_of_implant
 from app.foundation.collective import distribute_tasks, on_root
@@ -38,18 +38,19 @@ from app.report import (
     pictures,
     step_curves,
     sweep_figures,
+    sweep_tables,
     viewer,
 )
-from app.report.input_spread import HEAD, InputSpread, of_run
+from app.report.input_spread import HEAD, InputSpread, input_spread_of_run
 from app.report.page import Block, Figure, PageSection, Verbatim, bullets, table
-from app.report.sweep_results import CONVERGED, Json, SweptCase, named
+from app.report.sweep_results import CONVERGED, Json, SweptCase, headlines, named
 from app.results import closing_lines as text
 from app.results import cycles
 from app.results.reading import Run
 from app.results.verdicts import UNUSABLE
 from app.system import folders
 from app.system.folders import CASE_PICTURE, write_text
-from app.system.layout import noted, plain
+from app.system.layout import noted, plain_text
 from app.system.ranks import rank
 
 # Name of the page in the folder of a run.
@@ -190,7 +191,7 @@ def _run(
     (view, no_view), model, (sides, maps, files) = page_parts
     summary = UNFINISHED | _json(folder / "summary.json")
     record = _json(folder / "provenance.json")
-    input_spread = of_run(spread, case) if spread else None
+    input_spread = input_spread_of_run(spread, case) if spread else None
     panels = _forces(case)
     panels += step_curves.over_time(case.step_record, at_rest=_starts_at_rest(case))
     if share == math.inf and panels:
@@ -228,7 +229,7 @@ def _result_sections(case: SweptCase, summary: Summary, maps: list[Block]) -> li
     """Return the sections of results by place: paths, cement, maps, Gruen zones."""
     tension = [curves.drawing(panel) for panel in step_curves.tension(summary)]
     return [
-        PageSection("paths", "Along paths", path_curves.of_run(case)),
+        PageSection("paths", "Along paths", path_curves.path_blocks_of_run(case)),
         PageSection("tension", "Cement under tension", page.drawings(tension)),
         PageSection("maps", "Maps of the interfaces", maps),
         PageSection("gruen", "Gruen zones", gruen.blocks([("", case)])),
@@ -255,7 +256,7 @@ def _record_sections(case: SweptCase, summary: Summary, record: Json) -> list[Pa
 def _forces(case: SweptCase) -> list[curves.Panel]:
     """Return the panel of the forces; none if the files that the case names are gone."""
     try:
-        return step_curves.forces(load(case.folder / "case.yaml").config, case.step_record)
+        return step_curves.forces(load_case(case.folder / "case.yaml").config, case.step_record)
     except InputError:
         return []
 
@@ -266,7 +267,7 @@ def _path_files(case: SweptCase) -> list[Path]:
     files = []
     for name, path in case.paths.items():
         (case.folder / PICTURES).mkdir(exist_ok=True)
-        panels = path_curves.panels(path, stages)
+        panels = path_curves.panels_of_path(path, stages)
         files += curves.draw(case.folder / PICTURES / f"path_{name}.png", panels, 3)
     return files
 
@@ -286,7 +287,7 @@ def _model(folder: Path) -> list[Block]:
     figure = Figure(CASE_PICTURE, "", caption, "The case in two views", halves=True)
     try:
         if not (folder / CASE_PICTURE).exists():
-            case = load(folder / "case.yaml").config
+            case = load_case(folder / "case.yaml").config
             data = meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
             case_picture.draw(case, data, folder / CASE_PICTURE)
         picture = page.figures([figure], folder)
@@ -298,11 +299,11 @@ def _model(folder: Path) -> list[Block]:
 def _landmarks(folder: Path) -> list[Block]:
     """Return landmarks and the position of the stem; nothing without the files of the case."""
     try:
-        geometry = load(folder / "case.yaml").config.geometry
+        geometry = load_case(folder / "case.yaml").config.geometry
     except MantleError:
         return []
     details = geometry.details | geometry.placement_details
-    return bullets([f"{name}: {plain(detail)}" for name, detail in details.items()])
+    return bullets([f"{name}: {plain_text(detail)}" for name, detail in details.items()])
 
 
 def _pictures(case: SweptCase, time_allowed: float) -> tuple[list[Block], list[Block], list[Path]]:
@@ -335,7 +336,7 @@ def _pictures(case: SweptCase, time_allowed: float) -> tuple[list[Block], list[B
 def _mirrored(case: SweptCase) -> str:
     """Return a sentence on the pictures of a right femur; empty for others."""
     try:
-        is_mirrored = load(case.folder / "case.yaml").config.geometry.is_mirrored
+        is_mirrored = load_case(case.folder / "case.yaml").config.geometry.is_mirrored
     except InputError:
         return ""
     if not is_mirrored:
@@ -417,7 +418,7 @@ def _numbers(summary: Summary, spread: InputSpread | None) -> list[Block]:
     blocks = _tables(summary, all_parts=False, spread=spread)
     for stage, numbers in summary.get("cycles", {}).items():
         head = ["", "permanent", "inducible"]
-        rows = [[in_print(name), *values] for name, *values in cycles.rows(numbers)]
+        rows = [[in_print(name), *values] for name, *values in cycles.rows_of_cycles(numbers)]
         blocks += page.titled(f"Cycles of {stage}", table(head, rows))
         blocks += bullets([*cycles.friction(numbers)])
     head, peaks = _unsettled(summary)
@@ -482,7 +483,7 @@ def _unsettled(summary: Summary) -> tuple[list[str], list[list[str]]]:
         q = quantities.quantity_of(name)
         if q:
             value_texts = (q.text({q.key: values.get(size)}) for size in sizes)
-            rows.append([quantities.titled(name), *value_texts])
+            rows.append([quantities.label_with_unit(name), *value_texts])
     return ["", *(f"{s:g} mm" for s in sizes)], rows
 
 
@@ -528,16 +529,16 @@ def _variations(folder: Path, share: float, comm: MPI.Comm) -> list[Path]:
             notes=tuple(row.get("notes", ())),
         )
         cases.append(case)
-    all_names = sweep_figures.headlines(cases)
+    all_names = headlines(cases)
     quantity_by_name = {name: quantities.quantity_of(name) for name in all_names}
     names = [name for name, q in quantity_by_name.items() if not (q and q.exact)]
     drawings = folder / PICTURES
     is_unlimited = share == math.inf
     if is_unlimited:
         drawings.mkdir(exist_ok=True)
-    curve_blocks, files = sweep_figures.multiples(cases, drawings if is_unlimited else None)
+    curve_blocks, files = sweep_figures.draw_over_keys(cases, drawings if is_unlimited else None)
     sections = [
-        PageSection("cases", "All variations", sweep_figures.cases_table(cases, names, folder)),
+        PageSection("cases", "All variations", sweep_tables.cases_table(cases, names, folder)),
         PageSection("curves", "Curves over the varied keys", curve_blocks),
         PageSection("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in cases))),
     ]
@@ -549,7 +550,7 @@ def _variations(folder: Path, share: float, comm: MPI.Comm) -> list[Path]:
         f"Variations: {title}",
         sections,
         bullets([f"{converged_count} of {len(cases)} variations converged", *failed_lines]),
-        large=lead.spread(cases, names),
+        large=lead.ranges_over_runs(cases, names),
     )
     write_text(folder / PAGE, html)
     return pages + files

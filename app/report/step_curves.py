@@ -16,7 +16,7 @@ from app.report import page
 from app.report.page import Block
 from app.report.sweep_results import named
 from app.scene.scene import build_scene
-from app.system.layout import plain
+from app.system.layout import plain_text
 
 # Title and printed unit of the quantities drawn, by key in history.csv.
 BEFORE = {
@@ -158,5 +158,5 @@ def steps(step_record: StepRecord) -> list[Block]:
     rows = sparse([*zip(*columns.values(), strict=True)])
     row_texts = []
     for row in rows:
-        row_texts.append([plain(float(f"{value:.3g}")) for value in row])
+        row_texts.append([plain_text(float(f"{value:.3g}")) for value in row])
     return page.table([*columns], row_texts)

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from app.campaigns import uncertainty
 from app.foundation.errors import StoppedError
-from app.report import gruen, lead, page, pictures, sweep_figures
+from app.report import gruen, lead, page, pictures, sweep_figures, sweep_tables
 from app.report.page import Block, PageSection, bullets, table
-from app.report.sweep_results import STATUSES, SweepResults, SweptCase, by_part, read
+from app.report.sweep_results import STATUSES, SweepResults, SweptCase, by_part, headlines, read
 from app.report.viewer import viewer
 from app.system.folders import remove, write_text
 from app.system.layout import duration, noted
@@ -36,7 +36,7 @@ def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
     try:
         drawings.mkdir(exist_ok=True)
         remove(old_file for pattern in OURS for old_file in drawings.glob(pattern))
-        curves, curve_files = sweep_figures.multiples(sweep.on_axes, drawings)
+        curves, curve_files = sweep_figures.draw_over_keys(sweep.on_axes, drawings)
         mapped, unmapped = pictures.maps(chosen_cases, drawings)
         shields = gruen.shielding_picture(dict(chosen_cases), gruen.intact(sweep.cases), drawings)
         notes = noted((c.name, c.notes) for c in sweep.cases)
@@ -45,7 +45,7 @@ def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
             PageSection(
                 "sensitive",
                 "Strongest dependencies",
-                table(*sweep_figures.sensitivity(sweep.cases)),
+                table(*sweep_tables.sensitivity(sweep.cases)),
             ),
             PageSection("uncertain", "Effect of uncertain inputs", _uncertain(sweep)),
             PageSection("cases", "All cases", _parts(sweep)),
@@ -66,7 +66,7 @@ def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
             bullets(_summary(sweep)),
             facts=_facts(sweep),
             lead=_dependence(sweep.cases),
-            large=lead.spread(sweep.cases, sweep_figures.headlines(sweep.cases)),
+            large=lead.ranges_over_runs(sweep.cases, headlines(sweep.cases)),
             view=viewer({name: case.folder for name, case in chosen_cases[:2]}),
         )
         write_text(folder / PAGE, html)
@@ -82,7 +82,9 @@ def _uncertain(sweep: SweepResults) -> list[Block]:
     blocks: list[Block] = []
     for part, samples in sweep.uncertainty.items():
         samples_title = f"{samples['samples']} samples{f' ({part})' if part else ''}"
-        blocks += page.titled(samples_title, table(uncertainty.HEAD, uncertainty.rows(samples)))
+        blocks += page.titled(
+            samples_title, table(uncertainty.HEAD, uncertainty.rows_of_spread(samples))
+        )
         indices = table(uncertainty.INDEX_HEAD, uncertainty.index_rows(samples))
         blocks += page.titled("Sobol' indices: shares of the variance", indices)
     return blocks
@@ -98,7 +100,7 @@ def _summary(sweep: SweepResults) -> list[str]:
     """Texts at the top of the page: varied keys, failures, warnings."""
     counts = Counter(c.status for c in sweep.cases)
     states = ", ".join(f"{counts[s]} {s}" for s in STATUSES if counts[s])
-    lines = [f"{len(sweep.cases)} cases: {states}.", *sweep_figures.axes_in_words(sweep.cases)]
+    lines = [f"{len(sweep.cases)} cases: {states}.", *sweep_tables.axes_in_words(sweep.cases)]
     failed_cases = [c.name for c in sweep.cases if not c.done]
     if failed_cases:
         lines.append(
@@ -115,7 +117,7 @@ def _summary(sweep: SweepResults) -> list[str]:
 
 def _dependence(cases: Sequence[SweptCase]) -> str:
     """Return the key that the first main number depends on most, in a sentence."""
-    for number_title, (strongest_text, *_) in sweep_figures.sensitivity(cases)[1][:1]:
+    for number_title, (strongest_text, *_) in sweep_tables.sensitivity(cases)[1][:1]:
         rank, _, key = strongest_text.partition(" ")
         return f"{number_title} depends most on {key} (rank correlation {rank})."
     return ""
@@ -125,6 +127,6 @@ def _parts(sweep: SweepResults) -> list[Block]:
     """Return the table of cases of each part."""
     tables: list[Block] = []
     for part, cases in by_part(sweep.cases).items():
-        names = sweep_figures.headlines(cases)
-        tables += page.titled(part, sweep_figures.cases_table(cases, names, sweep.folder))
+        names = headlines(cases)
+        tables += page.titled(part, sweep_tables.cases_table(cases, names, sweep.folder))
     return tables

@@ -1,4 +1,4 @@
-"""A sweep's directory read back: its cases, their configurations and their numbers."""
+"""A sweep read back from its folder: its cases, their numbers, and the main ones of these."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from app.case.quantities import NOT_RESOLVED
 from app.case.summary import Summary
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
+from app.plots.curves import ROUNDED
 from app.results.reading import PathTable, Results
 from app.results.verdicts import UNUSABLE
 from app.schema.units import NUMBER
@@ -237,3 +238,34 @@ def magnitude(value: object) -> float | None:
         return float(value)
     match = NUMBER.fullmatch(value) if isinstance(value, str) else None
     return float(match[1]) if match else None
+
+
+def headlines(cases: Sequence[SweptCase]) -> list[str]:
+    """Full names of the numbers to show, most important first."""
+    names: dict[str, None] = {}
+    for case in cases:
+        for section in quantities.ADDED.values():
+            leading = [q.key for q in quantities.TABLE[section.name].values() if q.headline]
+            if section.leads:
+                numbers = quantities.numbers_of(case.summary)
+                owners = [owner for name, owner, _ in numbers if name == section.name]
+                names |= {f"{owner}.{key}": None for owner in owners for key in leading}
+        for name in case.summary.get("interfaces", {}):
+            names |= {f"{name}.{q}_{statistic}": None for q, statistic in PERCENTILES.items()}
+    for case in cases:
+        # Bone comes first: heat damages it, while cement may start hot.
+        regions = case.summary.get("thermal", {}).get("regions", {})
+        order = sorted(regions, key=lambda name: name not in case.bones)
+        names |= {f"{name}.temperature_max": None for name in order}
+    for case in cases:
+        names |= dict.fromkeys(case.numbers)
+    known_names = []
+    for name in names:
+        if not all(case.number(name) is None for case in cases):
+            known_names.append(name)
+    return known_names
+
+
+def is_varying(values: Sequence[float]) -> bool:
+    """Return True if numbers vary by more than rounding."""
+    return max(values, default=0.0) - min(values, default=0.0) > max(ROUNDED.values())

@@ -116,7 +116,7 @@ def viewer(folders: Mapping[str, Path]) -> str:
     views = []
     for name, run, minus in pairs:
         motion_bytes = MOTION if len(pairs) == 1 else 0
-        head, values = packed(run, minus, MOST // len(pairs), motion_bytes)
+        head, values = packed_view(run, minus, MOST // len(pairs), motion_bytes)
         views.append((name, json.dumps(head), as_text(values)))
     script_texts = [s.read_text("utf-8") for s in (*scripts, Path(__file__).with_name("viewer.js"))]
     return page.render("viewer.html", {"runs": views, "scripts": script_texts})
@@ -141,7 +141,7 @@ def same_mesh(a: Run, b: Run) -> bool:
     )
 
 
-def packed(
+def packed_view(
     run: Run, minus: Run | None = None, most_bytes: int = MOST, motion_bytes: int = 0
 ) -> tuple[dict[str, object], bytes]:
     """Pack the input of `viewer.js`: a head with the offsets of the arrays, and all their numbers.
@@ -157,7 +157,7 @@ def packed(
             are drawn, and cuts are not filled.
         motion_bytes: Limit of the size of steps between the ends of stages [bytes].
     """
-    steps_by_name, kinds = _moments(run), kinds_of(run)
+    steps_by_name, kinds = _moments(run), fields_to_show(run)
     stage_ends = [*steps_by_name]
     other_steps = {} if minus is None else _moments(minus)
     if minus is not None:
@@ -347,7 +347,7 @@ def interface_fields() -> dict[str, tuple[str, str, float]]:
     return added_fields | INTERFACE
 
 
-def kinds_of(run: Run) -> list[ShownField]:
+def fields_to_show(run: Run) -> list[ShownField]:
     """Return the fields to show, the most interesting first."""
     kinds = [
         ShownField(

@@ -31,7 +31,7 @@ HEAT = {"step": 4, "time": 11, "step of": 10, "newton": 6, "krylov": 6}
 HEAT |= {"hottest": 10, "balance": 9, "elapsed": 9}
 
 
-def line(columns: Mapping[str, int], texts: Iterable[object]) -> str:
+def aligned_line(columns: Mapping[str, int], texts: Iterable[object]) -> str:
     """Return a line of right-aligned texts, one for each column with its width."""
     return " ".join(f"{t:>{width}}" for t, width in zip(texts, columns.values(), strict=True))
 
@@ -52,7 +52,7 @@ def step_line(
     effort = (outcome.iterations, outcome.linear_iterations, f"{outcome.residuals[-1]:.1e}")
     states = (*(f"{100 * fraction:.1f}%" for fraction in fractions), f"{penetration:.1e} mm")
     times = (f"{wall:.1f} s", f"{time_left:.1f} s")
-    return line(STEP, (step.number, f"{step.time:.4g}", *effort, *states, *times))
+    return aligned_line(STEP, (step.number, f"{step.time:.4g}", *effort, *states, *times))
 
 
 def heat_line(number: int, accepted: HeatStep, row: dict[str, float], wall: float) -> str:
@@ -61,13 +61,15 @@ def heat_line(number: int, accepted: HeatStep, row: dict[str, float], wall: floa
     outcome = accepted.outcome
     times = (f"{accepted.seconds:.4g} s", f"{accepted.dt:.3g} s")
     state = (f"{hottest:.1f} degC", f"{row['heat balance [-]']:.1e}", f"{wall:.1f} s")
-    return line(HEAT, (number, *times, outcome.iterations, outcome.linear_iterations, *state))
+    return aligned_line(
+        HEAT, (number, *times, outcome.iterations, outcome.linear_iterations, *state)
+    )
 
 
-def report(summary: Summary, table: bool = True) -> None:
+def log_closing_lines(summary: Summary, table: bool = True) -> None:
     """Log the end of a run: its tables with ``table``, its verdicts, and last its main results."""
     if table:
-        log.info("%s", "\n".join(lines(summary)))
+        log.info("%s", "\n".join(closing_tables(summary)))
     # Notes are logged before the run begins.
     verdicts = [v for v in recorded(summary) if v.severity is not Severity.NOTE]
     sureness = [v for v in verdicts if v.where in ERRORS]
@@ -190,7 +192,7 @@ SENTENCES = {
 }
 
 
-def lines(summary: Summary) -> Iterator[str]:
+def closing_tables(summary: Summary) -> Iterator[str]:
     """Yield the closing tables: interfaces, regions, bonds, temperatures, dead bone, cure."""
     table_lines = [*_tables(summary)]
     yield from table_lines
@@ -243,7 +245,7 @@ def _table(section: str, rows: Rows) -> list[str]:
     cells = [[name, *(cell(t, numbers) for t in templates)] for name, numbers in rows.items()]
     cells = [row for row in cells if set(row[1:]) != {"-"}]
     units = ["", *(quantities[column_template.split()[0]].shown for column_template in templates)]
-    return layout.table(list(columns), cells, units).splitlines() if cells else []
+    return layout.text_table(list(columns), cells, units).splitlines() if cells else []
 
 
 def necrosis(regions: Rows) -> tuple[list[str], list[list[str]]]:
@@ -269,7 +271,7 @@ def _necrosis(regions: Rows) -> list[str]:
     for name in bones:
         head += [f"{name}, volume", f"{name}, depth"]
         units += ["mm^3", "mm"]
-    return layout.table(head, rows, units).splitlines()
+    return layout.text_table(head, rows, units).splitlines()
 
 
 def _of_collar(numbers: Numbers) -> str:

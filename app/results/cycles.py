@@ -44,15 +44,15 @@ class Cycles:
         del last_turns[:-3]
 
     def summary(self) -> dict[str, StageCycles]:
-        """Permanent and inducible motions (`split`) of each stage with at least two peaks."""
+        """Parts of the motions of each stage with at least two peaks (`parts_of_cycles`)."""
         return {
-            stage: split(dissipated, last_turns)
+            stage: parts_of_cycles(dissipated, last_turns)
             for stage, (dissipated, last_turns) in self.turns.items()
             if len(dissipated) > 2
         }
 
 
-def split(dissipations: list[float], last_turns: list[Turn]) -> StageCycles:
+def parts_of_cycles(dissipations: list[float], last_turns: list[Turn]) -> StageCycles:
     """Permanent and inducible parts of motions, and dissipation from peak to peak.
 
     Args:
@@ -109,7 +109,7 @@ def trend(first_dissipation: float, per_cycle: list[float]) -> str:
     return "grows" if per_cycle[-1] > per_cycle[0] else "falls"
 
 
-def rows(numbers: StageCycles) -> Iterator[tuple[str, ...]]:
+def rows_of_cycles(numbers: StageCycles) -> Iterator[tuple[str, ...]]:
     """Yield the motions of a stage with cycles as texts: name, permanent and inducible part."""
     for owner, permanent in numbers.get("permanent", {}).items():
         for key in permanent:
@@ -138,7 +138,8 @@ def sentences(cycles: Mapping[str, StageCycles]) -> Iterator[str]:
     """Yield a line of the log for each stage."""
     for stage, numbers in cycles.items():
         motion_texts = ", ".join(
-            f"{name} {permanent} / {inducible}" for name, permanent, inducible in rows(numbers)
+            f"{name} {permanent} / {inducible}"
+            for name, permanent, inducible in rows_of_cycles(numbers)
         )
         lines = [*friction(numbers)]
         if motion_texts:

@@ -227,7 +227,7 @@ def error_sources(solved: Sequence[Companion]) -> str:
     )
 
 
-def estimate(run: Summary, case: Case, solved: Solved) -> dict[str, list[list[float]]]:
+def add_error_estimates(run: Summary, case: Case, solved: Solved) -> dict[str, list[list[float]]]:
     """Add ``X_error`` next to each headline number X.
 
     Args:

@@ -150,7 +150,7 @@ def _on_this_rank(problem: Problem, surface: _Surface, points: GaugePoints) -> _
     """Weights of nodal values at the points of a gauge in cells of this rank."""
     mesh, space = problem.tagged.mesh, problem.space
     corners = CORNERS[bodies.FACET_NODES[surface.local[points.facet], :3]]
-    reference = np.einsum("nk,nkc->nc", points.share, corners)
+    reference = np.einsum("nk,nkc->nc", points.barycentric, corners)
     # On every rank at all points: a rank without points has nothing to tabulate.
     local_points = np.flatnonzero(surface.rank[points.facet] == problem.comm.rank)
     of_x, of_u = (

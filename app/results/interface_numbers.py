@@ -32,7 +32,7 @@ from app.results.cycles import OF_CYCLES
 from app.results.damage import BROKEN, zone
 from app.results.surface_parts import Surface
 from forms.contact import OPEN, SLIP, STICK
-from meshes.facets import shape_functions, surface
+from meshes.facets import facet_shape_functions, normals_and_areas
 
 Parts = Sequence[Surface]
 # Micromotion threshold for bone ingrowth [mm].
@@ -478,9 +478,11 @@ def gaps(
         clearance: Initial gap at their corners (f, 3) [mm].
     """
     x = facets.nodes[rows]
-    normals, area = surface(x, LATTICE)
+    normals, area = normals_and_areas(x, LATTICE)
     inwards = np.sign(np.einsum("fi,fi->f", normals[:, -1], facets.normal[rows, 0]))
-    motion_at_points = np.einsum("qn,fni->fqi", shape_functions(LATTICE, motion.shape[1]), motion)
+    motion_at_points = np.einsum(
+        "qn,fni->fqi", facet_shape_functions(LATTICE, motion.shape[1]), motion
+    )
     normal_motion = np.einsum("fqi,fqi->fq", motion_at_points, normals) * inwards[:, None]
     return normal_motion + clearance @ LATTICE.T, area
 

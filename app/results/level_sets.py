@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from app.foundation.arrays import Floats, Ints
 from app.heat.heat_forms import HeatForms
-from meshes.nearest_facets import distance
+from meshes.nearest_facets import distance_from_triangles
 
 # Corners of the edges and of the faces of a tetrahedron.
 _EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
@@ -67,7 +67,7 @@ class RegionCells:
         points = first_end + (a / (a - b))[:, None] * (second_end - first_end)
         points = np.concatenate([points, self._x[corner_levels >= 0]])
         if len(points):
-            depth = float(distance(np.unique(points, axis=0), surface).max())
+            depth = float(distance_from_triangles(np.unique(points, axis=0), surface).max())
         return float(self._comm.allreduce(depth, MPI.MAX))
 
 

@@ -1,7 +1,7 @@
 """Reduction of nodal values over time: maxima, times above a level, other integrals.
 
 A reduction has one number for each owned node of a region. It is updated at every accepted step.
-`maxima` and `largest` reduce the nodes of all ranks to the reported numbers.
+`maxima` and `largest_of_ranks` reduce the nodes of all ranks to the reported numbers.
 
 Between steps values follow parabolas. A maximum between two steps is the vertex of a parabola
 through one of them and its neighbours (`peak_between`). An integral over a step uses a parabola
@@ -94,7 +94,7 @@ def maxima(comm: MPI.Comm, values: Mapping[str, Floats]) -> dict[str, float]:
     return dict(zip(values, map(float, local_maxima), strict=True))
 
 
-def largest(
+def largest_of_ranks(
     comm: MPI.Comm, values: Floats, x: Floats, times: Floats
 ) -> tuple[float, list[float], float]:
     """Return the largest value of all ranks with its place and time; collective.

@@ -153,7 +153,7 @@ class PathTables:
         element = groups[0].space.element.basix_element
         self._local: dict[str, _Local] = {}
         for name, (local_rows, cell) in local_paths.items():
-            barycentric = paths[name].points.share[local_rows]
+            barycentric = paths[name].points.barycentric[local_rows]
             shape = np.asarray(element.tabulate(0, barycentric[:, 1:]))[0, :, : rows.shape[1], 0]
             row = rows[np.searchsorted(cells, cell)]
             self._local[name] = _Local(local_rows, cell, row, shape, barycentric.argmax(axis=1))

@@ -28,6 +28,12 @@ from app.schema import yaml_file
 from app.schema.section import did_you_mean
 from app.system.folders import path_files
 from meshes.data import exterior_facets, facet_areas
+from meshes.shape_functions import (
+    STRAIGHT,
+    VTK_TETRAHEDRON,
+    shape_functions,
+    slopes_of_shape_functions,
+)
 
 # Columns of the file of a path by their titles: numbers, or names of regions.
 PathTable = dict[str, NDArray[Any]]
@@ -335,7 +341,10 @@ class Run(Results):
         """
         rule = basix.make_quadrature(basix.CellType.tetrahedron, degree)
         points, weights = (np.asarray(a) for a in rule)
-        N, dN = shape_functions(points, self.cells.shape[1])
+        barycentric = np.column_stack([1 - points.sum(axis=1), points])
+        edges = VTK_TETRAHEDRON if self.cells.shape[1] == 10 else STRAIGHT
+        N = shape_functions(barycentric, edges)
+        dN = slopes_of_shape_functions(barycentric, edges)
         nodal = self.displacement() if values is None else values
         x, u = self.points[self.cells], nodal[self.cells]
         measure = np.abs(np.linalg.det(np.einsum("cni,qnj->cqij", x, dN))) * weights
@@ -413,21 +422,3 @@ class Run(Results):
         return InputError(
             f"{self.folder}: no {kind} '{name}'{location}; {plural}: {name_list}{hint}"
         )
-
-
-def shape_functions(points: Floats, nodes: int) -> tuple[Floats, Floats]:
-    """Return shape functions of a linear or quadratic tetrahedron in VTK's order of nodes.
-
-    Args:
-        points: Points of the reference tetrahedron (q, 3).
-        nodes: 4 or 10.
-
-    Returns:
-        Values (q, nodes) and derivatives (q, nodes, 3).
-    """
-    order = 1 if nodes == 4 else 2
-    element = basix.create_element(
-        basix.ElementFamily.P, basix.CellType.tetrahedron, order, basix.LagrangeVariant.gll_warped
-    )
-    table: Floats = np.asarray(element.tabulate(1, points))[..., QUADRATIC_NODES[:nodes], 0]
-    return table[0], np.moveaxis(table[1:], 0, -1)

@@ -266,7 +266,7 @@ def provenance(
     (case, digest), *other_digests = digests.items()
     return {
         "mantle": __version__,
-        "identity": identity.parts(),
+        "identity": identity.versions(),
         "case": case,
         "case_sha256": digest,
         "based_on_sha256": dict(other_digests),

@@ -101,7 +101,7 @@ def row(point: Point, summary: Summary, status: str, seconds: float) -> RunRow:
     }
 
 
-def csv(rows: Sequence[RunRow], keys: Sequence[str], first: str) -> str:
+def csv_of_runs(rows: Sequence[RunRow], keys: Sequence[str], first: str) -> str:
     """Format the table as CSV with columns for ``keys``; ``first`` is the title of the names."""
     return csv_text([_flat(r, keys, first) for r in rows])
 
@@ -109,7 +109,7 @@ def csv(rows: Sequence[RunRow], keys: Sequence[str], first: str) -> str:
 def _flat(row: RunRow, keys: Sequence[str], first: str) -> dict[str, object]:
     numbers = {}
     for name, value in row["numbers"].items():
-        unit = quantities.find(name).unit
+        unit = quantities.quantity_or_fail(name).unit
         numbers[f"{name} [{unit}]"] = value
         if name in row["errors"]:
             numbers[f"{name} error [{unit}]"] = row["errors"][name]
@@ -131,18 +131,18 @@ def write_variations(rows: Sequence[RunRow], folder: Path) -> list[RunRow]:
     """Write ``variations.json`` and ``variations.csv``; return the rows."""
     keys = list(dict.fromkeys(chain.from_iterable(r["overrides"] for r in rows)))
     write_json(folder / "variations.json", rows)
-    write_text(folder / "variations.csv", csv(rows, keys, "name"))
+    write_text(folder / "variations.csv", csv_of_runs(rows, keys, "name"))
     return [*rows]
 
 
-def text(rows: Sequence[RunRow]) -> str:
+def text_of_runs(rows: Sequence[RunRow]) -> str:
     """Format the table as text: one line per run with its most informative number."""
     lines = []
     for r in rows:
         counts = (r["unknowns"], r["newton_iterations"], r["linear_iterations"])
         result = most_informative(r["numbers"]) if r["status"] == "converged" else r["status"]
         lines.append((r["name"], *counts, layout.duration(r["seconds"]), result))
-    return layout.table(
+    return layout.text_table(
         ("case", "unknowns", "Newton", "Krylov", "time", "largest slip or temperature"), lines
     )
 
@@ -153,6 +153,6 @@ def most_informative(numbers: Mapping[str, float]) -> str:
         values = {name: value for name, value in numbers.items() if name.endswith(f".{key}")}
         if values:
             name = max(values, key=lambda name: values[name])
-            q = quantities.find(name)
+            q = quantities.quantity_or_fail(name)
             return f"{q.factor * values[name]:.1f} {q.shown} {text} {name.partition('.')[0]}"
     return ""

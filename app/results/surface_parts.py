@@ -89,7 +89,7 @@ class Pieces:
         return Pieces(facet[has_area], barycentric[has_area])
 
 
-def cut(levels: Mapping[str, Floats], facets: int) -> dict[str, Pieces]:
+def pieces_by_part(levels: Mapping[str, Floats], facets: int) -> dict[str, Pieces]:
     """Divide facets into pieces by part.
 
     Args:
@@ -156,7 +156,7 @@ class Surface:
         self._face: Ints = np.argmax(alignment, axis=2)
         self._face_area = self._sums(np.repeat(self.area[:, None] / 3, 3, axis=1))
         levels = {part: level[self.triangles] for part, level in borders.items()}
-        self._pieces = cut(levels, len(x))
+        self._pieces = pieces_by_part(levels, len(x))
         self._sharp = points.faces[self.triangles].min(axis=1) > 0
         hat_integrals = {part: self._hats(pieces) for part, pieces in self._pieces.items()}
         total = np.maximum(sum(hat_integrals.values()), np.finfo(float).tiny)

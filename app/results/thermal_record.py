@@ -28,7 +28,7 @@ from app.results.over_time import (
     Integrals,
     Maximum,
     State,
-    largest,
+    largest_of_ranks,
     maxima,
     peak_between,
     sagitta,
@@ -44,7 +44,7 @@ W_PER_M2 = 1e3
 Exchanges = Mapping[str, tuple[Floats, Floats]]
 
 
-def exchange(
+def heat_through_interfaces(
     operators: HeatOperators, x: Sequence[PETSc.Vec], temperatures: Sequence[fem.Function]
 ) -> Exchanges:
     """Return the heat through interfaces of finite conductance from temperatures of bodies [K]."""
@@ -125,7 +125,7 @@ class RegionTemperatures:
         nodes = self.nodes
         heat = np.array([nodes.volume @ self.now, nodes.volume.sum()])
         comm.Allreduce(MPI.IN_PLACE, heat, MPI.SUM)
-        peak, position, peak_time = largest(comm, self.peak.value, nodes.x, self.peak.time)
+        peak, position, peak_time = largest_of_ranks(comm, self.peak.value, nodes.x, self.peak.time)
         end_extremes = maxima(comm, {"end": self.now, "minus lowest": -self.lowest})
         numbers: Numbers = {
             "temperature_max": peak - CELSIUS,
@@ -355,7 +355,7 @@ class ThermalRecord:
     def _interface(self, name: str) -> Numbers:
         numbers: Numbers = {}
         for side_name, side in zip(SIDES, self._interfaces[name].sides, strict=True):
-            peak, position, peak_time = largest(
+            peak, position, peak_time = largest_of_ranks(
                 self._comm,
                 self._on_side(side, lambda r: r.peak.value),
                 self._on_side(side, lambda r: r.nodes.x),

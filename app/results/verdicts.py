@@ -59,7 +59,7 @@ def result_verdict(function: ResultVerdict) -> ResultVerdict:
     return function
 
 
-def record(summary: Summary, notes: Sequence[Verdict]) -> None:
+def record_verdicts(summary: Summary, notes: Sequence[Verdict]) -> None:
     """Put all verdicts on a run into its summary: first on its numbers, then notes on its case."""
     verdicts = [*of_numbers(summary), *notes]
     summary["verdicts"] = [verdict.record() for verdict in verdicts]
@@ -144,7 +144,7 @@ def large_slip(summary: Summary) -> list[str]:
     return [
         name
         for name, q in summary.get("interfaces", {}).items()
-        if quantities.largest(q, "slip_max") > q.get("facet_size", np.inf)
+        if quantities.maximum_with_parts(q, "slip_max") > q.get("facet_size", np.inf)
     ]
 
 
@@ -311,7 +311,7 @@ def _percentile_errors(summary: Summary) -> PercentileErrors:
                 error = q.get(f"{key}_error")
                 if error is None or not q[key] or key not in TABLE[section]:
                     continue
-                words = quantities.in_words(f"{name}.{key}")[0]
+                words = quantities.label_and_unit(f"{name}.{key}")[0]
                 if is_zero(q[key], error, largest[TABLE[section][key].unit]):
                     errors.zeros.append(words)
                 elif error > abs(q[key]):
@@ -359,7 +359,7 @@ def _peaks(summary: Summary) -> list[Verdict]:
     for name, ((finest, value), *coarser) in summary.get("error", {}).get("unsettled", {}).items():
         q = quantities.quantity_of(name)
         if q and q.unit != "-":  # a risk stands with the strength
-            number_title = quantities.in_words(name)[0].removesuffix(" max").removesuffix(",")
+            number_title = quantities.label_and_unit(name)[0].removesuffix(" max").removesuffix(",")
             finest_values = [f"{number_title} {q.text({q.key: value})} {q.shown} at {finest:g} mm"]
             lines.append(
                 ", ".join(

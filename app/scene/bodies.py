@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from app.foundation.arrays import Bools, Ints
 from app.foundation.errors import InputError
-from app.interfaces.interface_facets import InterfaceFacets, gather, sorted_facets
+from app.interfaces.interface_facets import InterfaceFacets, gathered_arrays, sorted_facets
 from app.laws.materials import Rigid
 from app.scene.scene import Interface
 from meshes.data import connected
@@ -262,7 +262,7 @@ def contact_facets(
             )
         )
     columns = map(np.concatenate, zip(*columns_of_interfaces, strict=True))
-    return sorted_facets(*gather(comm, *columns))
+    return sorted_facets(*gathered_arrays(comm, *columns))
 
 
 def _at_facets(values: NDArray, f: FacetCells) -> NDArray:

@@ -17,13 +17,13 @@ from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import InputError
 from app.interfaces.corners import VertexConstraints
 from app.interfaces.faces import projectors
-from app.interfaces.interface_facets import InterfaceFacets, gather
+from app.interfaces.interface_facets import InterfaceFacets, gathered_arrays
 from app.laws.supports import Support
 from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_nodes
 from app.scene.scene import Scene
 from app.system.layout import point_text
 from meshes.distribute import TaggedMesh
-from meshes.facets import NODES, nodal_normals, shape_functions
+from meshes.facets import NODES, facet_shape_functions, nodal_normals
 
 # Directions within about a milliradian are equal: squares of sines below this are zero.
 SAME_DIRECTION = 1e-6
@@ -102,7 +102,7 @@ def vertex_constraints(
         vertex_columns.append(corners[is_at_interface])
         body_columns.append(np.repeat(bodies.body_of_tag[tags[f.cells]], 3)[is_at_interface])
         support_columns.append(np.full(np.count_nonzero(is_at_interface), index))
-    vertex, body, support_index = gather(
+    vertex, body, support_index = gathered_arrays(
         tagged.mesh.comm,
         np.concatenate(vertex_columns),
         np.concatenate(body_columns),
@@ -148,13 +148,13 @@ def frames_of(
         nodes_of_supports.append(nodes)
         if support.normal:
             dofs_with_axes.append(nodes.dof)
-    node = np.unique(gather(comm, np.concatenate(dofs_with_axes))[0])
+    node = np.unique(gathered_arrays(comm, np.concatenate(dofs_with_axes))[0])
     acts = np.zeros((len(node), len(bodies.names), len(supports)), dtype=bool)
     positions = np.zeros((len(node), 3))
     support_projectors = np.zeros((len(node), len(supports), 3, 3))
     for index, (support, nodes) in enumerate(zip(supports, nodes_of_supports, strict=True)):
         has_axes = np.isin(nodes.dof, node)
-        dof, body, x, normals = gather(
+        dof, body, x, normals = gathered_arrays(
             comm,
             nodes.dof[has_axes],
             nodes.body[has_axes],
@@ -212,7 +212,7 @@ def _boundary_nodes(
     nodes = NODES if order > 1 else NODES[:3]
     _, dofs, x, cell_centres = facet_nodes(tagged, space, f)
     body = np.broadcast_to(bodies.body_of_tag[tags[f.cells]][:, None], dofs.shape)
-    positions = np.einsum("qn,fni->fqi", shape_functions(nodes, x.shape[1]), x)
+    positions = np.einsum("qn,fni->fqi", facet_shape_functions(nodes, x.shape[1]), x)
     normals = nodal_normals(x, cell_centres, nodes)
     return _BoundaryNodes(
         dofs.ravel(), body.ravel(), positions.reshape(-1, 3), normals.reshape(-1, 3)

@@ -143,7 +143,7 @@ def field_of(name: str) -> PathField | None:
     return next((field for field in (*all_fields, *TEMPERATURE_JUMP) if field.name == name), None)
 
 
-def available(case: Case, scene: Scene, interface: str) -> dict[str, PathField]:
+def available_path_fields(case: Case, scene: Scene, interface: str) -> dict[str, PathField]:
     """Fields that a run has in its bodies and on an interface, by name.
 
     ``interface`` is the interface of a path; empty for a path through bodies.
@@ -194,7 +194,7 @@ def columns(case: Case, scene: Scene, name: str) -> list[PathColumn]:
         InputError: The run has no such field, or a field has no such component.
     """
     path = case.output.paths[name]
-    fields = available(case, scene, path.interface_name)
+    fields = available_path_fields(case, scene, path.interface_name)
     if path.fields:
         return [
             _column(f"output.paths.{name}.fields.{k}", field_text, fields, path)

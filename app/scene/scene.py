@@ -446,7 +446,7 @@ def _loads(
         unit_force = force.named(
             name, force=direction, cycle_table=None, follows=None, history=None
         )
-        unit_force.follow(partial(component, axis))
+        unit_force.set_amplitude(partial(component, axis))
         components.append(unit_force)
     return tuple(components)
 

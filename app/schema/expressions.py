@@ -112,7 +112,7 @@ def _value(node: ast.expr, names: Mapping[str, Value]) -> Value:
     )
 
 
-def evaluate(expression: str, x: Floats) -> Floats:
+def values_at_points(expression: str, x: Floats) -> Floats:
     """Values (n,) of an expression at points (n, 3) [mm].
 
     Raises:

@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from mpi4py import MPI
 
 from app.case.case import Case
-from app.case.quantities import TABLE, in_words
+from app.case.quantities import TABLE, label_and_unit
 from app.case.summary import EstimatedErrors, Summary
 from app.foundation.collective import agree
 from app.foundation.errors import ConvergenceError, GeometryError, StoppedError
@@ -75,7 +75,7 @@ def add_errors(
         "share_within_error": error_estimate.SHARE_WITHIN_ERROR[case.mesh.order - 1],
         "sources": error_estimate.error_sources([companion for companion, _ in solved]),
         "failed": failed_companions,
-        "unsettled": error_estimate.estimate(summary, case, solved),
+        "unsettled": error_estimate.add_error_estimates(summary, case, solved),
     }
 
 
@@ -119,12 +119,12 @@ def choose(case: Case, solve: Callable[[Case], Summary], longest: float | None) 
             error, chosen_case, limit_text = _coarsest_within(target, cheap, errors, longest)
             reason = (
                 f"{percent(error)} expected, about"
-                f" {duration(cost.seconds(chosen_case))}{limit_text}"
+                f" {duration(cost.estimated_seconds(chosen_case))}{limit_text}"
             )
             mesh = f"{chosen_case.mesh.size:g} mm at order {order}"
             reason = f"chosen for a target of {percent(target)}: {mesh} ({reason})"
             log.info("accuracy: %s, by a run on %g mm", reason, size)
-            choice = (max(error, target), cost.seconds(chosen_case), reason, chosen_case)
+            choice = (max(error, target), cost.estimated_seconds(chosen_case), reason, chosen_case)
             if choices and choice > choices[0]:
                 break
             size *= 0.5  # errors are extrapolated over a factor of two
@@ -156,11 +156,11 @@ def _coarsest_within(
         next_best = _on_mesh(
             coarsest, float(f"{coarsest.mesh.size / FINER:.2g}"), coarsest.mesh.order
         )
-        available = memory.available()
+        available = memory.available_memory()
         if MEMORY * memory.needed(next_best) > available:
             limit_text = f"; {available / memory.GIGABYTE:.3g} GB of memory allow no finer mesh"
             return error, coarsest, limit_text
-        if longest and TIME * cost.seconds(next_best) > longest:
+        if longest and TIME * cost.estimated_seconds(next_best) > longest:
             return error, coarsest, f"; a walltime of {duration(longest)} allows no finer mesh"
         coarsest = next_best
 
@@ -196,5 +196,5 @@ def reached_text(chosen: str, summary: Summary) -> str:
     if not errors:
         return f"accuracy: {chosen}; the reached accuracy is unknown"
     error, worst_name, _ = max(errors)
-    name_text, _ = in_words(worst_name)
+    name_text, _ = label_and_unit(worst_name)
     return f"accuracy: {chosen}; {percent(error)} reached (largest error: {name_text})"

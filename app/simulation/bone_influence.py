@@ -26,7 +26,7 @@ COARSER = 2.0
 NEGLIGIBLE = 0.1
 
 
-def estimate(case: Case, model: Model) -> BoneInfluence | None:
+def bone_influence(case: Case, model: Model) -> BoneInfluence | None:
     """Return the changes of main numbers by other bone where none was measured; collective.
 
     The result is None if all bone was measured, a companion is not solved, or the run has no main

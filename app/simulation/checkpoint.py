@@ -23,11 +23,11 @@ from mpi4py import MPI
 import numpy as np
 
 from app import __version__
-from app.case.case import Case, plain
+from app.case.case import Case, plain_data
 from app.foundation.collective import everywhere, on_root
 from app.foundation.errors import InputError
 from app.foundation.files import write_bytes
-from app.numerics.saved_state import Array, Rows, collect, fill, restore
+from app.numerics.saved_state import Array, Rows, collect, restore, restored_object
 from app.simulation.model import Model
 from app.simulation.recorder import Recorder
 from app.system import folders
@@ -155,7 +155,7 @@ def read(path: Path) -> Checkpoint:
 # Choice for a restart
 
 
-def find(
+def checkpoint_to_resume(
     comm: MPI.Comm, requested: str, folder: Path, case: Case, force: bool
 ) -> Checkpoint | None:
     """Checkpoint to restart from, or None; collective.
@@ -196,7 +196,7 @@ def _refuse_another(saved_checkpoint: Checkpoint, case: Case, force: bool) -> No
             f"{__version__}: results may differ (--force uses it nevertheless)"
         )
     saved_values, case_values = (
-        dict(_leaves(c)) for c in (saved_checkpoint.header["case"], described(case))
+        dict(_leaves(c)) for c in (saved_checkpoint.header["case"], data_of_states(case))
     )
     pairs = {
         key: (case_values.get(key, "nothing"), saved_values.get(key, "nothing"))
@@ -213,9 +213,9 @@ def _refuse_another(saved_checkpoint: Checkpoint, case: Case, force: bool) -> No
     log.warning("%s:\n%s", message, "\n".join(differ))
 
 
-def described(case: Case) -> dict[str, object]:
+def data_of_states(case: Case) -> dict[str, object]:
     """All data of a case on which its states depend."""
-    data = plain(case)
+    data = plain_data(case)
     data.pop("title", None)
     output = data.get("output", {})
     data["output"] = {key: output.get(key, {}) for key in ("probes", "paths")}
@@ -288,7 +288,7 @@ class CheckpointWriter:
         if stage >= stages:
             raise InputError(f"{checkpoint} is in stage {stage + 1}; this case has {stages} stages")
         try:
-            fill(saved_objects, saved_checkpoint.state["parts"])
+            restored_object(saved_objects, saved_checkpoint.state["parts"])
         except (AttributeError, LookupError, TypeError, ValueError) as error:
             raise InputError(
                 f"{checkpoint} of another model, with other unknowns or records ({error}); "
@@ -299,7 +299,7 @@ class CheckpointWriter:
         """Header and state of the last recorded step, in stage k."""
         header: Header = {
             "mantle": __version__,
-            "case": described(self._case),
+            "case": data_of_states(self._case),
             "mesh": self._model.mesh_hash,
             "ranks": self._comm.size,
             "stage": k,

@@ -26,7 +26,7 @@ def finished(folder: Path, case: Case) -> bool:
         record = folders.read_json(folder / "provenance.json")
     except (OSError, ValueError):
         return False
-    is_same_case &= record.get("identity") == identity.parts()
+    is_same_case &= record.get("identity") == identity.versions()
     geometry = case.geometry
     newer = isinstance(geometry, MeshFile) and geometry.modified > done_at
     return is_same_case and not newer

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import meshes
-from app.case.case import LoadedCase, load
+from app.case.case import LoadedCase, load_case
 from app.foundation.collective import on_root
 from app.foundation.errors import InputError
 from app.schema import yaml_file
@@ -50,4 +50,4 @@ def case_on(mesh: TaggedMesh, case: Mapping[str, object], folder: Path) -> Loade
         write_text(path, yaml_file.to_yaml({**case, "geometry": file}))
 
     on_root(mesh.mesh.comm, write)
-    return load(path)
+    return load_case(path)

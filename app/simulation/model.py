@@ -33,8 +33,8 @@ from app.results.surface_parts import Surface, in_parts
 from app.scene.scene import Scene, Stage, build_scene
 from app.simulation.steppers import steppers
 from app.simulation.thermal_model import ThermalModel
-from app.soundness import cost, loose_bodies, memory, well_posedness
-from app.stepping.coarse_start import CoarseModelStart
+from app.soundness import cost, floating_bodies_of_state, memory, well_posedness
+from app.stepping.coarse_start import CoarseStart
 from app.stepping.heat_state import HeatStep
 from app.stepping.heat_steps import OnHeat
 from app.stepping.load_steps import Effort, LoadStep, LoadStepper, OnStep
@@ -49,13 +49,13 @@ from meshes.pieces import MeshPieces
 
 log = logging.getLogger("mantle")
 
-# Number of unknowns from which on a start from a cheaper model pays. Between 18,000 and 40,000 it
+# Number of unknowns from which on a start from a coarse model pays. Between 18,000 and 40,000 it
 # changes the time by less than 10 % if a run converges without it. Else it halves the time: 7
 # iterations, not 25.
 LARGE = 20_000
-# Mesh size of a coarser model over that of the run.
+# Mesh size of the coarse model over that of the run.
 COARSER = 2.0
-# Tolerance of the cheaper model, relative to the forces: far below its discretization error.
+# Tolerance of the coarse model, relative to the forces: far below its discretization error.
 TOLERANCE = 1e-4
 
 
@@ -227,7 +227,7 @@ class Model:
             petsc={**options.petsc, **self.options},
             augmentation_factor=options.augmentation_factor,
             solves=self._runs * cost.contact_solves(case),
-            memory=memory.available(),
+            memory=memory.available_memory(),
             stop=self.stop,
         )
         place = self.scene, self.tagged, settings, self._timing
@@ -317,18 +317,18 @@ class Model:
         }
 
     def _predictors(self, mechanics: Mechanical) -> tuple[Predictor, ...]:
-        """States of earlier models and, for large models, a start from a cheaper one."""
+        """States of earlier models and, for large models, a start from a coarse one."""
         if (
             mechanics.problem.contact is None
             or self.scene.conductors
             or mechanics.solver.linear.exact
         ):
             return (mechanics.neighbours,)
-        case = cheaper(self.case, sum(mechanics.solver.block_sizes.values()))
+        case = coarse_case(self.case, sum(mechanics.solver.block_sizes.values()))
         if case is None:
             return (mechanics.neighbours,)
-        return mechanics.neighbours, CoarseModelStart(
-            mechanics.problem, mechanics.solver, lambda: self._cheaper(case)
+        return mechanics.neighbours, CoarseStart(
+            mechanics.problem, mechanics.solver, lambda: self._coarse_stepper(case)
         )
 
     def separate_model(self, case: Case, purpose: str) -> Model:
@@ -336,11 +336,12 @@ class Model:
         comm, timing = self.tagged.mesh.comm, self._timing.of(purpose)
         return Model(case, comm, self.options, timing, self.stop, judged=False)
 
-    def _cheaper(self, case: Case) -> LoadStepper:
-        cheaper = self._other_model(case, self._timing.of("cheaper model"))
-        assert cheaper.mechanics is not None
-        predictors = cheaper._predictors(cheaper.mechanics)
-        stepper = cheaper.analysis.load_stepper(on_trouble=log.debug, predictors=predictors)
+    def _coarse_stepper(self, case: Case) -> LoadStepper:
+        """Load stepper of the coarse model; itself with a coarse start if it is large."""
+        coarse = self._other_model(case, self._timing.of("coarse model"))
+        assert coarse.mechanics is not None
+        predictors = coarse._predictors(coarse.mechanics)
+        stepper = coarse.analysis.load_stepper(on_trouble=log.debug, predictors=predictors)
         assert stepper is not None
         return stepper
 
@@ -383,12 +384,12 @@ class Model:
             merge(numbers, record.numbers())
         return numbers
 
-    def floating_bodies(self) -> list[Verdict]:
+    def warnings_of_floating_bodies(self) -> list[Verdict]:
         """Warnings on bodies that nothing holds in the last state; collective."""
         path = self.mechanics
         if path is None or path.problem.contact is None:
             return []
-        return loose_bodies.floating_bodies(
+        return floating_bodies_of_state.warnings_of_floating_bodies(
             path.problem, path.problem.trial(*path.solver.u_and_q())
         )
 
@@ -426,7 +427,7 @@ class Model:
         return other_model.numbers(samples)
 
 
-def cheaper(case: Case, unknowns: int) -> Case | None:
+def coarse_case(case: Case, unknowns: int) -> Case | None:
     """The case on a coarser mesh, else at first order; None if the case is small."""
     if unknowns < LARGE:
         return None

@@ -25,7 +25,7 @@ from app.results.interface_numbers import ContactSamples
 from app.results.run_folder import UNITS, Writer
 from app.scene.scene import Stage
 from app.simulation.model import Mechanical, Model
-from app.soundness import failure
+from app.soundness.critical_friction import critical_friction_of_interfaces
 from app.stepping.heat_state import HeatStep
 from app.stepping.load_steps import Effort, LoadStep
 from app.system.timing import Timing, peak_memory
@@ -101,13 +101,14 @@ class Recorder:
         self._timing, self._begin = timing, begin
         centre_of_moments = np.array(case.geometry.points.get("head_centre", (0.0, 0.0, 0.0)))
         self.balance: Balance | None = None
-        self._critical: dict[str, float] = {}
+        self._critical_friction: dict[str, float] = {}
         mechanics = model.mechanics
         if mechanics:
             with timing.phase("assemble"):
                 self.balance = mechanics.balance(centre_of_moments)
-                self._critical, friction_warnings = failure.beyond_critical(mechanics.problem)
-            for warning in friction_warnings:
+                critical = critical_friction_of_interfaces(mechanics.problem)
+            self._critical_friction = {c.interface: c.smallest for c in critical}
+            for warning in (w for c in critical for w in c.warnings()):
                 log.warning("%s", warning)
         self.samples: ContactSamples | None = None
         self.contact_state: dict[str, Floats | Ints] = {}
@@ -159,7 +160,7 @@ class Recorder:
         if not _has_valleys(stage):  # inducible motion is that of the last cycle of the run
             self.valley = {}
         columns = closing_lines.HEAT if stage.takes_time else closing_lines.STEP
-        self._header = closing_lines.line(columns, columns)
+        self._header = closing_lines.aligned_line(columns, columns)
 
     def record_step(self, step: LoadStep, trial: TrialState | None) -> None:
         """Record a step of the mechanics; collective."""
@@ -322,7 +323,7 @@ class Recorder:
                 "ranks": comm.size,
             },
         }
-        for name, value in self._critical.items():
+        for name, value in self._critical_friction.items():
             if name in summary_numbers["interfaces"]:
                 summary_numbers["interfaces"][name]["critical_friction"] = value
         cpu, memory = comm.allgather(self._timing.cpu), comm.allreduce(peak_memory())

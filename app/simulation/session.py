@@ -110,7 +110,7 @@ def run(
     lifetime.begin_run(comm)
     signalled = stopping.signals() if signals else _never
     if signals:  # not in a host's process, whose handlers and options stay as they are
-        form_cache.guard()
+        form_cache.patch_ffcx()
     time_limit = _never if walltime is None else stopping.WallTime(begin, walltime)
     setup = Setup(
         comm,
@@ -134,7 +134,7 @@ def run(
                 config, setup.chosen = accuracy.choose(case.config, solve, walltime)
                 setup.loaded = replace(case, config=config)
             summary = _CaseRun(setup, setup.loaded.itself, output).run()
-            closing_lines.report(summary)
+            closing_lines.log_closing_lines(summary)
             verdicts.check_usable({output: summary})
     log.info("results in %s", output)
     return comm
@@ -190,7 +190,7 @@ def _solve_variations(setup: Setup, output: Path) -> None:
         lifetime.release(comm)  # models on meshes that no later variation shares
         setup.begin, setup.started = clock.perf_counter(), datetime.now(UTC)
         setup.timing.clear()
-    log.info("%s", run_table.text(on_root(comm, write) or []))
+    log.info("%s", run_table.text_of_runs(on_root(comm, write) or []))
     failed_names = [run.name for folder, run in runs.items() if not summaries[folder]]
     if failed_names:
         raise ConvergenceError(
@@ -213,7 +213,7 @@ def _solve_variation(setup: Setup, run: PlannedRun, folder: Path) -> Summary:
         write_failure = partial(write_text, folder / FAILED, f"{failure}\n")
         on_root(setup.comm, write_failure, share=False)
         return {}
-    closing_lines.report(summary, table=False)
+    closing_lines.log_closing_lines(summary, table=False)
     return summary
 
 
@@ -228,7 +228,9 @@ class _CaseRun:
         comm, loaded = setup.comm, setup.loaded
         saved_state = None
         if setup.restart:
-            saved_state = checkpoint.find(comm, setup.restart, output, case, setup.force)
+            saved_state = checkpoint.checkpoint_to_resume(
+                comm, setup.restart, output, case, setup.force
+            )
         model = Model(
             case,
             comm,
@@ -334,8 +336,12 @@ class _CaseRun:
         with setup.timing.phase("output"):
             self._recorder.flush()
             summary = self._recorder.summary("converged", total)
-        notes = [*self._notes, *result_notes.of_results(case, summary), *model.floating_bodies()]
-        verdicts.record(summary, notes)
+        notes = [
+            *self._notes,
+            *result_notes.of_results(case, summary),
+            *model.warnings_of_floating_bodies(),
+        ]
+        verdicts.record_verdicts(summary, notes)
         if verdicts.reasons_not_to_use(summary):
             summary["status"] = UNUSABLE
         setup.log_notes(notes)
@@ -361,17 +367,17 @@ class _CaseRun:
         if setup.chosen:
             summary["accuracy"] = accuracy.reached_text(setup.chosen, summary)
         summary["timing"] = self._recorder.seconds()
-        verdicts.record(summary, notes)
+        verdicts.record_verdicts(summary, notes)
 
     def _add_bone_influence(self, summary: Summary, notes: list[Verdict]) -> None:
         """Add the influence of the assumed bone, if there is any; collective."""
         if not self._case.geometry.other_bones:
             return
         with self._setup.timing.phase("influence"), self._last_state_kept():
-            influence = bone_influence.estimate(self._case, self._model)
+            influence = bone_influence.bone_influence(self._case, self._model)
         if influence:
             summary["assumed_bone"] = influence
-            verdicts.record(summary, notes)
+            verdicts.record_verdicts(summary, notes)
 
 
 def _unknowns(sizes: Mapping[str, int]) -> str:

@@ -9,7 +9,7 @@ from app.case.probes import Probe
 from app.heat.operators import InitialContactTemperature
 from app.mechanics.problem import Problem
 from app.results.balance import HeatBalance
-from app.results.thermal_record import CureRecord, ThermalRecord, exchange
+from app.results.thermal_record import CureRecord, ThermalRecord, heat_through_interfaces
 from app.scene.bodies import nodes_on
 from app.stepping.heat_state import HeatState, HeatStep
 
@@ -70,7 +70,7 @@ class ThermalModel:
         heating, operators = self.heating, self.operators
         x = heating.vectors()
         temperatures = operators.temperatures(x)
-        exchanges = exchange(operators, x, temperatures)
+        exchanges = heat_through_interfaces(operators, x, temperatures)
         self.settled = self.settled or accepted.dt == 0.0
         temperatures = self._reported(accepted.seconds)
         highest = operators.principle.high

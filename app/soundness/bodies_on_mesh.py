@@ -1,12 +1,12 @@
 """Bodies on a mesh, before solving: pieces that move together, and bodies that nothing holds.
 
-`floating_bodies` returns errors for a body that floats; `well_posedness.check_on_mesh` then refuses
-the case. The pieces of the mesh are joined to bodies.
+`well_posedness.check_on_mesh` refuses a case with `errors_of_floating_bodies`. The pieces of the
+mesh are joined to bodies.
 Each support removes the directions that it holds from the rigid motions of its body. A motion that
 is left, and that contact with no other body resists, is free.
 
-Facets of a mesh may hide a floating body. `app.soundness.loose_bodies` detects such bodies on the
-contact points of a state, after solving.
+Facets of a mesh may hide a floating body. `app.soundness.floating_bodies_of_state` detects such
+bodies on the contact points of a state, after solving.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from app.foundation.verdict import Reason, Verdict, note
 from app.laws.interface_laws import InterfaceLaw
 from app.laws.supports import AnySupport
 from app.laws.values import gap_at
-from app.numerics.rigid_motions import add_relative, describe, rigid_modes
-from app.soundness.loose_bodies import FREE
+from app.numerics.rigid_motions import add_relative, motions_in_words, rigid_modes
+from app.soundness.floating_bodies_of_state import FREE
 from app.system.layout import point_text
 from meshes.data import connected
 from meshes.pieces import MeshPieces, Piece, Touch
@@ -47,13 +47,13 @@ def law_between(
     return "", None
 
 
-def groups_of(case: Case, parts: MeshPieces) -> list[list[int]]:
+def pieces_of_groups(case: Case, parts: MeshPieces) -> list[list[int]]:
     """Pieces that move together: bonded to each other, or of one region and joined."""
     laws = [(t.pieces, law_between(case, parts, t.pieces)[1]) for t in parts.touches]
     return _groups(parts, [pieces for pieces, law in laws if law is None or not law.can_open])
 
 
-def bodies_of(case: Case, parts: MeshPieces) -> list[list[int]]:
+def pieces_of_bodies(case: Case, parts: MeshPieces) -> list[list[int]]:
     """Return the pieces of each body; pieces that can move apart belong to different bodies."""
     laws = [(t.pieces, law_between(case, parts, t.pieces)[1]) for t in parts.touches]
     return _groups(parts, [pieces for pieces, law in laws if law is None or not law.can_part])
@@ -97,21 +97,21 @@ def gaps_of(case: Case, parts: MeshPieces) -> dict[str, Floats]:
     }
 
 
-def floating_bodies(case: Case, parts: MeshPieces) -> list[Verdict]:
+def errors_of_floating_bodies(case: Case, parts: MeshPieces) -> list[Verdict]:
     """Errors on bodies that nothing holds."""
-    return BodiesOnMesh(case, parts).unheld()
+    return BodiesOnMesh(case, parts).errors_of_floating()
 
 
-def loosely_held_bodies(case: Case, parts: MeshPieces) -> list[Verdict]:
+def notes_on_loosely_held_bodies(case: Case, parts: MeshPieces) -> list[Verdict]:
     """Notes on bodies that contact barely holds."""
-    return BodiesOnMesh(case, parts).loosely_held()
+    return BodiesOnMesh(case, parts).notes_on_loosely_held()
 
 
 class BodiesOnMesh:
     """Rigid motions of groups of pieces that supports leave, and their resistance by contact."""
 
     def __init__(self, case: Case, parts: MeshPieces) -> None:
-        self._case, self._parts, self._groups = case, parts, groups_of(case, parts)
+        self._case, self._parts, self._groups = case, parts, pieces_of_groups(case, parts)
         self._group_of_part = {p: n for n, group in enumerate(self._groups) for p in group}
         self._origin = parts.x.mean(axis=0)
         self._size = float(np.linalg.norm(np.ptp(parts.x, axis=0)))
@@ -123,7 +123,7 @@ class BodiesOnMesh:
             interface = law_between(case, parts, touch.pieces)[0]
             self._touches.append((touch, interface, body_a, body_b))
 
-    def unheld(self) -> list[Verdict]:
+    def errors_of_floating(self) -> list[Verdict]:
         """Errors for motions that nothing would resist if all touching bodies were bonded."""
         contact_resistance, bonded_resistance = self._resistance(None)
         errors = []
@@ -134,10 +134,10 @@ class BodiesOnMesh:
             remedy = "add a support, or contact with a body that is held"
             for motion_text in self._motion_texts(free_motions):
                 verdict_text = f"{motion_text}{self._when(k)}, by a support or by another body"
-                errors.append(Verdict(verdict_text, "supports", remedy, code=Reason.LOOSE_BODY))
+                errors.append(Verdict(verdict_text, "supports", remedy, code=Reason.FLOATING_BODY))
         return errors
 
-    def loosely_held(self) -> list[Verdict]:
+    def notes_on_loosely_held(self) -> list[Verdict]:
         """Notes on motions barely resisted by contact, without friction or not yet closed."""
         gaps = gaps_of(self._case, self._parts)
         frictions = {n: self._laws[n].friction for n in gaps}
@@ -283,11 +283,11 @@ class BodiesOnMesh:
         return free_motions[:, is_weak], math.degrees(steepest)
 
     def _motion_texts(self, free_motions: Floats, verb: str = "nothing holds") -> list[str]:
-        pieces_of_bodies = [[self._parts.pieces[p] for p in group] for group in self._groups]
-        moments = np.array([sum(p.volume * p.centre for p in group) for group in pieces_of_bodies])
-        volumes = np.array([sum(p.volume for p in group) for group in pieces_of_bodies])
-        body_names = [self._name(group) for group in pieces_of_bodies]
-        return describe(
+        pieces = [[self._parts.pieces[p] for p in group] for group in self._groups]
+        moments = np.array([sum(p.volume * p.centre for p in group) for group in pieces])
+        volumes = np.array([sum(p.volume for p in group) for group in pieces])
+        body_names = [self._name(group) for group in pieces]
+        return motions_in_words(
             free_motions, body_names, moments / volumes[:, None], self._origin, self._size, verb
         )
 

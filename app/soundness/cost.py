@@ -146,13 +146,13 @@ def estimated_size(case: Case, available: float = math.inf) -> str:
     return _described("size (estimated; --mesh counts the cells)", case, size, available)
 
 
-def unknowns(case: Case) -> float:
+def estimated_unknowns(case: Case) -> float:
     """Estimated number of unknowns of a case; 0 if it is not known before meshing."""
     size = _estimated(case)
     return size.unknowns if size.cells else 0.0
 
 
-def seconds(case: Case, alone: bool = True) -> float:
+def estimated_seconds(case: Case, alone: bool = True) -> float:
     """Time of a run on one core [s], within a factor of two for the shipped cases.
 
     A run that is not ``alone`` shares mesh, forms and matrices with an earlier one.
@@ -306,7 +306,7 @@ def exact_size(case: Case, data: MeshData, available: float = math.inf) -> str:
     lines = [_described("size", case, size, available)]
     for name, tag in data.regions.items():
         lines.append(f"  {name}: {count(np.count_nonzero(data.cell_tags == tag))} cells")
-    for line in mesh_notes.lines(data.notes):
+    for line in mesh_notes.lines_of_mesh_notes(data.notes):
         lines += textwrap.wrap(line, 98, initial_indent="  ", subsequent_indent="    ")
     return "\n".join(lines)
 

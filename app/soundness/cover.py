@@ -9,7 +9,7 @@ import numpy as np
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import InputError
 from app.foundation.verdict import Verdict
-from app.interfaces.interface_facets import gather
+from app.interfaces.interface_facets import gathered_arrays
 from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
 from app.numerics.rigid_motions import rigid_modes
@@ -127,5 +127,7 @@ class Cover:
     def _largest(self, points: Ints, values: Floats) -> tuple[float, str]:
         """The largest of values at some local points, and its place; collective."""
         assert self._problem.contact is not None
-        all_values, x = gather(self._problem.comm, values, self._problem.contact.local.x[points])
+        all_values, x = gathered_arrays(
+            self._problem.comm, values, self._problem.contact.local.x[points]
+        )
         return float(all_values.max()), point_text(x[int(np.argmax(all_values))])

@@ -1,18 +1,4 @@
-"""Explanation of failed solves in terms of the model, and critical friction coefficients.
-
-A single contact point may have several equilibria. Let A be the tangential block of its stiffness,
-and w its coupling row, the change of the normal force by slip. The critical friction coefficient is
-the least value of t·At / |w·t| over unit vectors t of the tangent plane (derived in
-`docs/theory.md`). In two dimensions it is Klarbring's k_T / |w|.
-
-Take t = (cos θ, sin θ) in axes along and across w, and τ = tan θ. With [[a, b], [b, c]], the
-symmetric part of A, the function is (a + 2 b τ + c τ²) / (|w| sqrt(1 + τ²)). It is stationary where
-c τ³ + (2 c - a) τ + 2 b = 0.
-
-A. Klarbring, Examples of non-uniqueness and non-existence of solutions to quasistatic contact
-problems with friction, Ingenieur-Archiv 60 (1990) 529-541. P. Hild, Non-unique slipping in the
-Coulomb friction model in two-dimensional linear elasticity, Q. J. Mech. Appl. Math. 57 (2004).
-"""
+"""Explanation of failed solves in terms of the model: causes, places and remedies."""
 
 from __future__ import annotations
 
@@ -23,108 +9,14 @@ from mpi4py import MPI
 
 import numpy as np
 
-from app.foundation.arrays import Floats
 from app.foundation.errors import ConvergenceError
 from app.foundation.verdict import Reason, Severity, Verdict
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
 from app.numerics.newton import ActiveSet, NewtonResult, Solver
-from app.soundness import loose_bodies
+from app.soundness import floating_bodies_of_state
+from app.soundness.critical_friction import critical_friction_of_interfaces
 from app.system.layout import point_text
-
-
-def critical_friction(stiffness: Floats, normals: Floats) -> Floats:
-    """Friction coefficient from which on a point may have several equilibria or none.
-
-    Args:
-        stiffness: Stiffness against a jump of each point, positive definite (n, 3, 3).
-        normals: Unit normals (n, 3).
-
-    Returns:
-        Critical coefficients (n,); infinite where slip does not change the normal force.
-    """
-    n = normals
-    row = np.einsum("pi,pij->pj", n, stiffness)
-    w = row - np.einsum("pi,pi->p", row, n)[:, None] * n
-    size = np.linalg.norm(w, axis=1)
-    bound = np.linalg.norm(row, axis=1)
-    coupled = size > np.finfo(float).eps * bound
-    critical = np.full(len(n), np.inf)
-    K, n, w, size = stiffness[coupled], n[coupled], w[coupled], size[coupled]
-    coupled_direction = w / size[:, None]
-    transverse = np.cross(n, coupled_direction)
-    a = np.einsum("pi,pij,pj->p", coupled_direction, K, coupled_direction)
-    b = np.einsum("pi,pij,pj->p", coupled_direction, (K + K.transpose(0, 2, 1)) / 2, transverse)
-    c = np.einsum("pi,pij,pj->p", transverse, K, transverse)
-    companion = np.zeros((len(n), 3, 3))
-    companion[:, 1, 0] = companion[:, 2, 1] = 1
-    companion[:, 0, 2] = -2 * b / c
-    companion[:, 1, 2] = -(2 * c - a) / c
-    # The real part of a complex root is another direction, and its value is no smaller.
-    τ = np.linalg.eigvals(companion).real
-    value = (a[:, None] + 2 * b[:, None] * τ + c[:, None] * τ**2) / np.sqrt(1 + τ**2)
-    critical[coupled] = value.min(axis=1) / size
-    return critical
-
-
-def critical_friction_of_points(contact: ContactInterfaces) -> Floats:
-    """Least critical coefficient of the faces of each local point with all others fixed (n,).
-
-    The estimate is local and on the safe side: it fixes the bodies around a point. The exact
-    stiffness, of a point in bodies that deform, takes a solve for each point. With it the least
-    coefficient is 20 to 85 % larger on coarsened shipped cases. Friction below the critical
-    coefficient is necessary for uniqueness, not sufficient.
-    """
-    stiffness = contact.coupling.local_stiffness()
-    # A point cannot move in directions that supports hold: they are stiff and uncoupled.
-    free_projector = np.eye(3) - contact.local.projector
-    stiffness = free_projector @ stiffness @ free_projector
-    stiffness += np.trace(stiffness, axis1=1, axis2=2)[:, None, None] * contact.local.projector
-    critical = np.full(len(contact.local), np.inf)
-    for k in range(contact.local.normals.shape[1]):
-        has_face = contact.local.faces > k
-        critical[has_face] = np.minimum(
-            critical[has_face],
-            critical_friction(stiffness[has_face], contact.local.normals[has_face, k]),
-        )
-    return critical
-
-
-def beyond_critical(problem: Problem) -> tuple[dict[str, float], list[Verdict]]:
-    """Least critical coefficient of each frictional interface, and warnings; collective."""
-    coefficients: dict[str, float] = {}
-    warnings: list[Verdict] = []
-    contact = problem.contact
-    if contact is None:
-        return coefficients, warnings
-    critical = critical_friction_of_points(contact)
-    for i, term in enumerate(problem.scene.contacts):
-        at_interface = np.flatnonzero(contact.local.interface == i)
-        k = at_interface[np.argmin(critical[at_interface])] if len(at_interface) else 0
-        local_smallest = (
-            (float(critical[k]), tuple(contact.local.x[k])) if len(at_interface) else (np.inf, ())
-        )
-        smallest, x = min(problem.comm.allgather(local_smallest))
-        points_beyond = int((critical[at_interface] < term.law.friction).sum())
-        points_beyond = problem.comm.allreduce(points_beyond, MPI.SUM)
-        if term.law.friction == 0 or not np.isfinite(smallest):
-            continue
-        coefficients[term.name] = smallest
-        if points_beyond:
-            message = (
-                f"friction coefficient {term.law.friction:g} exceeds the critical value at"
-                f" {points_beyond} "
-                f"points (smallest {smallest:.3g}, at {point_text(x)}): solutions may not be "
-                "unique there"
-            )
-            location = f"interface '{term.name}'"
-            warning = Verdict(message, location, severity=Severity.WARNING, code=Reason.NOT_UNIQUE)
-            warnings.append(warning)
-    return coefficients, warnings
-
-
-# Why a solve failed
-
 
 # States of a contact point, by status.
 STATES = ("open", "stick", "slip")
@@ -155,14 +47,15 @@ class Explanation:
     Attributes:
         outcome: The failed solve.
         cause: Its cause, without the stage.
-        others: Verdicts on friction, on the largest residual, and on points that change state.
-        free: True if nothing holds a body: smaller steps fail too.
+        circumstances: Verdicts on other floating bodies, on friction, on the largest residual, and
+            on points that change state.
+        has_floating_body: True if nothing holds a body: smaller steps fail too.
     """
 
     outcome: NewtonResult
     cause: Verdict
-    others: Sequence[Verdict] = ()
-    free: bool = False
+    circumstances: Sequence[Verdict] = ()
+    has_floating_body: bool = False
 
     def error(
         self, stage: str, reached_fraction: float, steps: Sequence[float]
@@ -179,7 +72,7 @@ class Explanation:
         return ConvergenceError(
             [
                 replace(self.cause, where=place),
-                *self.others,
+                *self.circumstances,
                 bare_verdict(residuals, "last residuals (relative to the forces)"),
                 bare_verdict(attempts(self.outcome.tried, steps), "tried"),
             ]
@@ -204,20 +97,21 @@ def is_proportional(
     return half_residual.norm() <= SAME * full_residual.norm()
 
 
-def explain(
-    problem: Problem, solver: Solver, outcome: NewtonResult, scales: bool = False
+def explanation_of_failure(
+    problem: Problem, solver: Solver, outcome: NewtonResult, fails_at_any_load: bool = False
 ) -> Explanation:
-    """Explain the failure of the last solve; collective.
+    """Return an explanation of the failure of the last solve; collective.
 
     Args:
         problem: The problem.
         solver: Its solver, with the state that failed.
         outcome: The outcome of the solve.
-        scales: True if the solve began at rest and fails alike under any part of the load.
+        fails_at_any_load: True if the solve began at rest and fails alike under any part of the
+            load.
     """
     u, q = solver.u_and_q(solver.failed_state)
     if q is None:
-        remedy = AT_REST if scales else SMALLER
+        remedy = AT_REST if fails_at_any_load else SMALLER
         return Explanation(outcome, Verdict(_residuals(outcome), remedy=remedy))
     trial, first_trial = problem.trial(u, q), problem.trial(*solver.u_and_q(solver.first_state))
     contact = trial.contact
@@ -226,42 +120,65 @@ def explain(
         float(t.forces.outputs["dissipated"][dissipates].sum()) for t in (trial, first_trial)
     )
     breaks = bool(contact.laws.internal_variables and problem.comm.allreduce(energy, MPI.SUM) > 0)
-    loose_texts: list[str] = []
-    # A body whose cohesive interface breaks in this step is not free.
+    floating: list[str] = []
+    # A body whose cohesive interface breaks in this step does not float.
     if not breaks:
-        loose_texts = pulled_off = loose_bodies.pulled_off(problem, contact)
-        if not scales and not contact.finite_sliding:
-            loose_texts = loose_bodies.pushed_freely(problem, trial)
-        # A body is not free if iterates lose contact that the loads would close.
-        if not loose_texts and (pulled_off or not problem.load_size or contact.is_apart()):
-            loose_texts = loose_bodies.free_bodies(problem, trial)
-            loose_texts = loose_texts or loose_bodies.free_bodies(
-                problem, first_trial
-            )  # remedies may end in any state
-    runaway_verdict = None
+        floating = _floating_in_failed_solve(problem, trial, first_trial, fails_at_any_load)
+    runaway = None
     has_run_away = solver.system.runs_away(solver.blocks(solver.failed_state))
-    if not loose_texts and has_run_away and outcome.residuals[-1] < BALANCED:
-        runaway_verdict = loose_bodies.runaway(problem, trial)
-    friction = [] if loose_texts or runaway_verdict else loose_bodies.sliding(problem, contact)
-    friction += beyond_critical(problem)[1]
+    if not floating and has_run_away and outcome.residuals[-1] < BALANCED:
+        runaway = floating_bodies_of_state.error_of_runaway(problem, trial)
+    friction: list[Verdict] = []
+    if not floating and not runaway:
+        friction = floating_bodies_of_state.warnings_of_sliding_bodies(problem, contact)
+    for critical in critical_friction_of_interfaces(problem):
+        friction += critical.warnings()
     # The first hypothesis that holds is the cause.
-    if loose_texts:
-        cause = Verdict(loose_texts[0], remedy=loose_bodies.HOLD, code=Reason.LOOSE_BODY)
-    elif runaway_verdict:
-        cause = Verdict(runaway_verdict.what, remedy=FAR, code=Reason.LARGE_DISPLACEMENT)
+    if floating:
+        cause = Verdict(
+            floating[0], remedy=floating_bodies_of_state.HOLD, code=Reason.FLOATING_BODY
+        )
+    elif runaway:
+        cause = Verdict(runaway.what, remedy=FAR, code=Reason.LARGE_DISPLACEMENT)
     else:
-        remedy = AT_REST if scales else SMALLER
+        remedy = AT_REST if fails_at_any_load else SMALLER
         if breaks:
             remedy = BREAKS
         if friction:
             remedy += "; or change the friction, or add a support"
         cause = Verdict(_residuals(outcome), remedy=remedy)
-    other_causes = [bare_verdict(text) for text in loose_texts[1:]]
-    other_causes += friction
-    other_causes += map(
+    circumstances = [bare_verdict(text) for text in floating[1:]]
+    circumstances += friction
+    circumstances += map(
         bare_verdict, [_largest(problem, trial), *_oscillating(problem, contact, solver.active)]
     )
-    return Explanation(outcome, cause, other_causes, bool(loose_texts))
+    return Explanation(outcome, cause, circumstances, bool(floating))
+
+
+def _floating_in_failed_solve(
+    problem: Problem, trial: TrialState, first_trial: TrialState, fails_at_any_load: bool
+) -> list[str]:
+    """Sentences on bodies that float in a failed solve; collective.
+
+    Args:
+        problem: The problem.
+        trial: Its failed state.
+        first_trial: The state at which plain Newton ended. Remedies may end in any state.
+        fails_at_any_load: True if the solve fails alike under any part of the load.
+    """
+    contact = trial.contact
+    pulled = floating_bodies_of_state.texts_of_pulled_bodies(problem, contact)
+    if fails_at_any_load or contact.finite_sliding:
+        floating = pulled
+    else:
+        # The search for pulled bodies knows neither gaps nor the state. So a body that it names
+        # counts only if the state has a free motion, which is tested below.
+        floating = floating_bodies_of_state.texts_of_pushed_bodies(problem, trial)
+    # A body does not float if iterates lose contact that the loads would close.
+    if not floating and (pulled or not problem.load_size or contact.is_apart()):
+        for state in (trial, first_trial):
+            floating = floating or floating_bodies_of_state.texts_of_floating_bodies(problem, state)
+    return floating
 
 
 def _residuals(outcome: NewtonResult) -> str:

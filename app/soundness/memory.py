@@ -51,10 +51,10 @@ ABSURD = 1e4
 def needed(case: Case) -> float:
     """Estimated least memory of a run [byte]; 0 if its size is not known before meshing."""
     cells = case.geometry.estimate_cells(case.mesh)
-    return BASE + PER_UNKNOWN * cost.unknowns(case) + PER_CELL * cells if cells else 0.0
+    return BASE + PER_UNKNOWN * cost.estimated_unknowns(case) + PER_CELL * cells if cells else 0.0
 
 
-def available(environ: Mapping[str, str] = os.environ) -> float:
+def available_memory(environ: Mapping[str, str] = os.environ) -> float:
     """Memory available to a run on its machines [byte]: installed memory, or a lower limit."""
     limits = [float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))]
     limits.append(_addresses() - UNUSED)
@@ -91,7 +91,7 @@ def _group_limits() -> Iterator[Path]:
                     yield GROUPS / "memory" / part / "memory.limit_in_bytes"
 
 
-def explain(error: BaseException) -> EnvironmentProblem | None:
+def error_without_memory(error: BaseException) -> EnvironmentProblem | None:
     """Return an error that explains a lack of memory; None for any other error."""
     chain: list[BaseException] = []
     link: BaseException | None = error
@@ -125,7 +125,7 @@ def _nearly_full() -> bool:
 def _limits() -> str:
     address_limit = _addresses()
     if math.isinf(address_limit):
-        return f"a process may use {available({}) / GIGABYTE:.1f} GB"
+        return f"a process may use {available_memory({}) / GIGABYTE:.1f} GB"
     return f"a process may use {address_limit / GIGABYTE:.1f} GB of address space (ulimit -v)"
 
 
@@ -136,7 +136,7 @@ def check(file: CaseFile, case: Case) -> None:
         InputError: The case does not fit; the error names a size that does, if any.
         EnvironmentProblem: No case fits.
     """
-    memory = available()
+    memory = available_memory()
     if memory < BASE:
         raise EnvironmentProblem(
             f"not enough memory for any case: {_limits()}; mantle itself needs "
@@ -145,7 +145,7 @@ def check(file: CaseFile, case: Case) -> None:
     needed_memory = needed(case)
     if needed_memory <= memory:
         return
-    cells, unknowns = case.geometry.estimate_cells(case.mesh), cost.unknowns(case)
+    cells, unknowns = case.geometry.estimate_cells(case.mesh), cost.estimated_unknowns(case)
     message = (
         f"makes about {cells:.2g} cells and {unknowns:.2g} unknowns, which need at least "
         f"{needed_memory / GIGABYTE:.5g} GB; {memory / GIGABYTE:.1f} GB are available"

@@ -6,13 +6,13 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from app.case.summary import MantleNumbers
-from app.system.layout import count, percent, plain, point_text
+from app.system.layout import count, percent, plain_text, point_text
 
 # Notes that have no line: messages are notes of the run, the others repeat a message.
 WITHOUT_LINE = ("messages", "cells_without_region")
 
 
-def lines(notes: Mapping[str, Any]) -> Iterator[str]:
+def lines_of_mesh_notes(notes: Mapping[str, Any]) -> Iterator[str]:
     """Lines on the notes of a mesh (`meshes.data.MeshData.notes`)."""
     other_notes = {name: note for name, note in notes.items() if name not in WITHOUT_LINE and note}
     if "mantle" in other_notes:
@@ -37,7 +37,7 @@ def lines(notes: Mapping[str, Any]) -> Iterator[str]:
         if key in other_notes:
             yield f"{size_words}: {_sizes_text(other_notes.pop(key))}"
     for name, note in other_notes.items():
-        yield f"{name.replace('_', ' ')}: {plain(note)}"
+        yield f"{name.replace('_', ' ')}: {plain_text(note)}"
 
 
 def _mantle(note: MantleNumbers) -> str:
@@ -75,7 +75,7 @@ def _layers(note: Mapping[str, Any]) -> str:
 
 
 def _quality(note: Mapping[str, Any]) -> str:
-    """A line on the quality of the cells (`meshes.quality.describe`)."""
+    """A line on the quality of the cells (`meshes.quality.notes_on_quality`)."""
     regions = ", ".join(
         f"{name} {smallest_sicn:.2f}" for name, smallest_sicn in note["sicn_min_by_region"].items()
     )

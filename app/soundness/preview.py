@@ -13,7 +13,7 @@ from typing import Any
 from app.case.case import Case
 from app.case.library import ORIGIN
 from app.case.run_options import Stage
-from app.case.section_loads import section_loads, table
+from app.case.section_loads import section_loads, table_of_section_loads
 from app.foundation.verdict import Verdict, note
 from app.laws.cycle_tables import ROTATIONS
 from app.laws.interface_laws import insertion_stages
@@ -21,7 +21,7 @@ from app.laws.values import MEMORY
 from app.scene.scene import build_scene
 from app.schema.section import Section, added_keys, is_given
 from app.soundness.cost import solid
-from app.system.layout import plain, several
+from app.system.layout import plain_text, several
 
 
 @dataclass(frozen=True)
@@ -43,21 +43,21 @@ class CheckedCase:
         return "\n".join([self.description, self.size, *map(str, self.notes)])
 
 
-def describe(case: Case, given: Mapping[str, Mapping[str, object]]) -> str:
+def case_in_words(case: Case, given: Mapping[str, Mapping[str, object]]) -> str:
     """The case in words and tables; ``given`` is the data of the file, for its units."""
     lines = [case.title or "(no title)", ""]
     lines += ["geometry", *_entries(case.geometry, given.get("geometry"))]
     details = case.geometry.details | case.geometry.placement_details
-    lines += [f"  {k}: {plain(v)}" for k, v in details.items()]
+    lines += [f"  {k}: {plain_text(v)}" for k, v in details.items()]
     lines += ["mesh", *_entries(case.mesh, given.get("mesh"))]
-    lines += [f"  {k}: {plain(v)}" for k, v in case.geometry.grid(case.mesh).items()]
+    lines += [f"  {k}: {plain_text(v)}" for k, v in case.geometry.grid(case.mesh).items()]
     lines.append("regions")
     for name, region in case.regions.items():
         kind = "rigid" if region.moves_rigidly is True else region.kind
         lines += [f"  {name}: {kind}", *_entries(region, given["regions"][name], 4)]
         if region.modulus_field:
             details = region.modulus_field.details(case.geometry)
-            lines += [f"      {k}: {plain(v)}" for k, v in details.items()]
+            lines += [f"      {k}: {plain_text(v)}" for k, v in details.items()]
     lines += ["interfaces", *([] if case.interfaces else ["  none"])]
     for name, law in case.interfaces.items():
         a, b = (" + ".join(side) for side in case.geometry.interface_sides[name])
@@ -71,10 +71,10 @@ def describe(case: Case, given: Mapping[str, Mapping[str, object]]) -> str:
         lines += ["supports", *_table(case.supports)]
         lines += ["motions"] if case.motions else []
         for n, m in case.motions.items():
-            rotation_text = f"no rotation about {plain(m.about)} mm"
+            rotation_text = f"no rotation about {plain_text(m.about)} mm"
             if m.rotation:
                 table_text = m.rotation.cycle_table.description
-                rotation_text = f"rotates about {plain(m.about)} mm by {m.rotation.axes}: "
+                rotation_text = f"rotates about {plain_text(m.about)} mm by {m.rotation.axes}: "
                 rotation_text += table_text
             lines.append(f"  {n}: {m.region}, {rotation_text}; translation {m.translation}")
         lines += [
@@ -99,7 +99,7 @@ def describe(case: Case, given: Mapping[str, Mapping[str, object]]) -> str:
     varied = case.variations
     if varied:
         lines.append(f"variations: {len(varied)} runs, and none of the case without them")
-        lines += [f"  {n}: {plain(keys) or 'the case as it is'}" for n, keys in varied.items()]
+        lines += [f"  {n}: {plain_text(keys) or 'the case as it is'}" for n, keys in varied.items()]
     return "\n".join(lines)
 
 
@@ -126,8 +126,8 @@ def _entries(model: Section, given_values: object, indent: int = 2) -> Iterable[
             yield f"{' ' * indent}{key}:{kind}"
             yield from _entries(part, source.get(key), indent + 2)
             continue
-        value_text = plain(value)
-        given_text = plain(source[key]) if key in source else None
+        value_text = plain_text(value)
+        given_text = plain_text(source[key]) if key in source else None
         note = "" if given_text is None or given_text == value_text else f"  ({given_text})"
         yield f"{' ' * indent}{key}: {value_text}{note}" + (
             "" if key in source else f"  [{'from the file' if key in from_file else 'default'}]"
@@ -142,7 +142,7 @@ def _table(entries: Mapping[str, Section]) -> list[str]:
         kind, place = fields.pop("kind", ""), fields.pop("boundary", "")
         descriptions = [f"{kind} on {place}" if place else kind] if kind else []
         value_texts = {
-            k: getattr(getattr(entry, k), "description", plain(v)) for k, v in fields.items()
+            k: getattr(getattr(entry, k), "description", plain_text(v)) for k, v in fields.items()
         }
         descriptions += [
             f"{k} {value_text}" for k, value_text in value_texts.items() if k not in ORIGIN
@@ -187,7 +187,7 @@ def resultant(case: Case) -> Iterator[str]:
             f"force and moment above a section{remark}, at the end (last row: the knee; "
             "line: line of action of the force)"
         )
-        yield from (f"  {line}" for line in table(sections).splitlines())
+        yield from (f"  {line}" for line in table_of_section_loads(sections).splitlines())
 
 
 # Doubtful input
@@ -467,5 +467,5 @@ def _far_off(place: str, part: Section | None, limits: Mapping[str, Range]) -> I
         if part and any(
             isinstance(v, float) and v and not lower_limit <= abs(v) <= upper_limit for v in values
         ):
-            value_text = plain(part.model_dump(mode="json")[key])
+            value_text = plain_text(part.model_dump(mode="json")[key])
             yield note(f"{place}.{key} is {value_text}; is the unit wrong?")

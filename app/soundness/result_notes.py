@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable
 
 from app.case.case import Case
-from app.case.quantities import largest
+from app.case.quantities import maximum_with_parts
 from app.case.summary import Summary
 from app.foundation.verdict import Verdict, note
 from app.laws.materials import Material
@@ -40,8 +40,8 @@ def of_results(case: Case, numbers: Summary) -> list[Verdict]:
                 f"from {lowest_stress:g} to {highest_stress:g} MPa"
             )
             notes.append(note(message, f"region '{name}'"))
-        E = modulus(case.regions[name])
-        strain = largest(q, "von_mises_p99") / E if E else 0.0
+        E = smallest_modulus(case.regions[name])
+        strain = maximum_with_parts(q, "von_mises_p99") / E if E else 0.0
         if strain > STRAIN:
             message = (
                 f"is strained by {100 * strain:.2g} % (stress over modulus), which is not small: "
@@ -52,6 +52,6 @@ def of_results(case: Case, numbers: Summary) -> list[Verdict]:
     return notes
 
 
-def modulus(region: Material) -> float:
+def smallest_modulus(region: Material) -> float:
     """Smallest Young's modulus of a region, 0 if it has none [MPa]."""
     return float(min(region.moduli, default=0.0))

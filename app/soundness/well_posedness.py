@@ -25,19 +25,19 @@ from app.laws.values import ROUNDING
 from app.scene.scene import build_scene
 from app.soundness import paths_on_mesh
 from app.soundness.bodies_on_mesh import (
-    bodies_of,
     directions,
-    floating_bodies,
+    errors_of_floating_bodies,
     gaps_of,
     holds,
     law_between,
     load_history_of,
-    loosely_held_bodies,
+    notes_on_loosely_held_bodies,
+    pieces_of_bodies,
 )
-from app.soundness.result_notes import STRAIN, modulus
+from app.soundness.result_notes import STRAIN, smallest_modulus
 from app.system.layout import point_text
 from meshes import location
-from meshes.data import boundary_areas, boundary_facets, interface_facets
+from meshes.data import boundary_areas, interface_facets, nodes_of_boundary_facets
 from meshes.gauge_points import GaugeFault, gauge_points
 from meshes.pieces import MeshPieces, pieces_of_mesh, touching_without_shared_nodes
 
@@ -140,7 +140,7 @@ def _contradictory_supports(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
 
     Two bodies that can part may have different displacements where they touch.
     """
-    for pieces in bodies_of(case, parts):
+    for pieces in pieces_of_bodies(case, parts):
         yield from _contradictory_supports_of(case, parts, pieces)
 
 
@@ -291,13 +291,13 @@ def _misplaced_probes(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
         cells = data.cells
         if probe.region:
             cells = cells[data.cell_tags == data.regions[probe.region]]
-        if location.place(data.points, cells, np.array([probe.at])).cell[0] < 0:
+        if location.cells_of_points(data.points, cells, np.array([probe.at])).cell[0] < 0:
             yield Verdict(outside_text(name, (probe.at, probe.region)))
 
 
 def _misplaced_gauge(data: MeshData, key: str, gauge: StrainGauge) -> list[Verdict]:
     """Error on a strain gauge that does not fit its surface."""
-    x = data.points[boundary_facets(data, gauge.boundary)]
+    x = data.points[nodes_of_boundary_facets(data, gauge.boundary)]
     if not len(x):
         return [Verdict("has no facet on this mesh", f"{key}.boundary", "choose another one")]
     try:
@@ -382,7 +382,7 @@ def _dependent_jumps(case: Case, parts: MeshPieces) -> list[Verdict]:
     """A note on vertices with more interfaces than independent jumps: some jumps follow."""
     interfaces_that_part = [name for name, law in case.interfaces.items() if law.can_part]
     regions_of_bodies = {
-        frozenset(parts.pieces[p].region for p in g) for g in bodies_of(case, parts)
+        frozenset(parts.pieces[p].region for p in g) for g in pieces_of_bodies(case, parts)
     }
     is_on_interface = np.array(
         [np.isin(np.arange(len(parts.x)), parts.on_interface(n)) for n in interfaces_that_part]
@@ -476,7 +476,7 @@ def _large_strains(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
         boundary = next(iter(load.boundaries), "")
         area = areas.get(boundary, 0.0)
         loaded_regions = {parts.pieces[p].region for p in parts.boundaries.get(boundary, {})}
-        moduli = [modulus(case.regions[region]) for region in loaded_regions]
+        moduli = [smallest_modulus(case.regions[region]) for region in loaded_regions]
         softest = min((m for m in moduli if m), default=0.0)
         if not area or not softest:
             continue
@@ -552,7 +552,7 @@ def _too_stiff_in_bending(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     worst_of_region: dict[str, tuple[float, float, float]] = {}
     for p in parts.pieces:
         slender = p.thickness < SLENDER_PIECE * float(p.box.max())
-        if slender and p.free > FREE_SURFACE_SHARE and modulus(case.regions[p.region]):
+        if slender and p.free > FREE_SURFACE_SHARE and smallest_modulus(case.regions[p.region]):
             excess = EXCESS_OF_LINEAR_CELLS * (p.edge / p.thickness) ** 2
             candidate = (excess, p.thickness, p.edge)
             worst_of_region[p.region] = max(worst_of_region.get(p.region, candidate), candidate)
@@ -583,12 +583,12 @@ MECHANICS_CHECKS: tuple[tuple[Check, ...], ...] = (
     (
         _rotations_not_given,
         _motions_with_supports_or_loads,
-        floating_bodies,
+        errors_of_floating_bodies,
         _contradictory_supports,
         _large_gaps,
     ),
     (
-        loosely_held_bodies,
+        notes_on_loosely_held_bodies,
         _clamped_interfaces,
         _dependent_jumps,
         _large_displacements,

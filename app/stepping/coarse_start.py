@@ -1,11 +1,12 @@
-r"""Nested start: a solve starts from the jumps of a cheaper model.
+r"""Coarse start: a solve starts from the jumps of a coarse model.
 
-The cheaper model is a copy of the case on a mesh twice as coarse. It is solved load step by load
-step next to the run. A large copy is itself started by a still coarser one. If no coarser mesh
-exists, the copy has first order. Its jumps are interpolated on the interface. The displacement
-follows from the jumps, K u = f - C q, to a rough tolerance.
+The coarse model is a copy of the case on a mesh twice as coarse. If no coarser mesh exists, the
+copy has first order. It is solved load step by load step next to the run. `app.simulation.model`
+makes it, and gives a large coarse model a coarse start of its own. The jumps of the coarse model
+are interpolated on the interface. The displacement follows from the jumps, K u = f - C q, to a
+rough tolerance.
 
-A stance of 94,000 unknowns takes 6 Newton iterations instead of 11. With the cheaper model included
+A stance of 94,000 unknowns takes 6 Newton iterations instead of 11. With the coarse model included
 it takes a fifth less time. A linear step in displacement, jumps and forces before the solve was
 measured too, and saves nothing.
 """
@@ -38,8 +39,14 @@ ROUGH_TOLERANCE = 0.1
 GOOD_START = 0.1
 
 
-class CoarseModelStart:
-    """Starts from the jumps of a cheaper model, which ``make_coarse`` makes at rest."""
+class CoarseStart:
+    """Starts from the jumps of a coarse model; a `Predictor`.
+
+    Args:
+        problem: The problem.
+        solver: Its solver.
+        make_coarse: Makes the coarse model at rest. It is called when a start is first needed.
+    """
 
     def __init__(
         self, problem: Problem, solver: Solver, make_coarse: Callable[[], LoadStepper]
@@ -53,7 +60,7 @@ class CoarseModelStart:
         self._computed_jumps: list[tuple[float, Floats]] = []
 
     def predict(self, time: float) -> None:
-        """Start from the cheaper model's state, unless the current start is good."""
+        """Start from the state of the coarse model, unless the current start is good."""
         solver = self._solver
         if self._failed:
             return
@@ -67,32 +74,39 @@ class CoarseModelStart:
         except MantleError as error:
             self._failed = True
             log.info(
-                "     nested start failed; continuing without it: %s", str(error).splitlines()[0]
+                "     coarse start failed; continuing without it: %s", str(error).splitlines()[0]
             )
             return
         self._start_from(jump)
 
     def commit(self, time: float) -> None:
-        """Store the time: the cheaper model solves up to it before the next start."""
+        """Note a time up to which the coarse model solves before the next start."""
         self._passed_times.append(time)
 
     def _interpolated_jump(self, time: float) -> Floats:
         """Jumps of owned points at a time, interpolated (n, 3) [mm]."""
-        if self._coarse is None:
-            contact, self._coarse = self._contact, self._make_coarse()
-            source = self._coarse.problem.contact
-            assert source is not None
-            self._interpolation = interpolation(source.points, contact.points, contact.local.rows)
-            self._computed_jumps = [(0.0, np.zeros((len(contact.local), 3)))]
+        coarse = self._coarse or self._made_coarse()
         for target in [*self._passed_times, time]:
             while target > self._computed_jumps[-1][0]:
-                # The cheaper model of a resumed run has not solved earlier stages.
+                # The coarse model of a resumed run has not solved earlier stages.
                 end_of_stage = math.floor(self._computed_jumps[-1][0]) + 1.0
-                self._advance(self._coarse, min(target, end_of_stage))
+                self._advance(coarse, min(target, end_of_stage))
         self._passed_times = []
-        return interpolate_in_time(self._computed_jumps, time)
+        return jumps_between(self._computed_jumps, time)
+
+    def _made_coarse(self) -> LoadStepper:
+        """Make the coarse model at rest, and the matrix that interpolates its jumps."""
+        contact, self._coarse = self._contact, self._make_coarse()
+        source = self._coarse.problem.contact
+        assert source is not None
+        self._interpolation = interpolation_matrix(
+            source.points, contact.points, contact.local.rows
+        )
+        self._computed_jumps = [(0.0, np.zeros((len(contact.local), 3)))]
+        return self._coarse
 
     def _advance(self, coarse: LoadStepper, time: float) -> None:
+        """Solve the coarse model from its last time to another one in the same stage."""
         start_time = self._computed_jumps[-1][0]
         k = math.ceil(time) - 1
         problem = coarse.problem
@@ -124,18 +138,18 @@ class CoarseModelStart:
         u.axpy(-1.0, du)
 
 
-def interpolate_in_time(values_at: list[tuple[float, Floats]], time: float) -> Floats:
-    """Values at a time, on the line through the last two known values."""
-    t1, last_values = values_at[-1]
-    if time == t1 or len(values_at) == 1:
-        return last_values
-    t0, values_before = values_at[-2]
+def jumps_between(jumps_at: list[tuple[float, Floats]], time: float) -> Floats:
+    """Jumps (n, 3) [mm] at a time, on the line through those at the last two of some times."""
+    t1, last_jumps = jumps_at[-1]
+    if time == t1 or len(jumps_at) == 1:
+        return last_jumps
+    t0, jumps_before = jumps_at[-2]
     fraction = (time - t0) / (t1 - t0)
-    return (1 - fraction) * values_before + fraction * last_values
+    return (1 - fraction) * jumps_before + fraction * last_jumps
 
 
-def interpolation(source: ContactPoints, target: ContactPoints, owned: Ints) -> csr_array:
-    """Weights that interpolate between meshes of the same interfaces; no communication.
+def interpolation_matrix(source: ContactPoints, target: ContactPoints, owned: Ints) -> csr_array:
+    """Matrix that interpolates between meshes of the same interfaces; no communication.
 
     Interpolation is linear on the source's triangles: each point takes the value at the nearest
     point of the nearest triangle. Rows are those of the target points ``owned`` (n,), columns those
@@ -150,7 +164,7 @@ def interpolation(source: ContactPoints, target: ContactPoints, owned: Ints) -> 
     for i, triangles in enumerate(source.triangles):
         points = np.flatnonzero(target.interface[owned] == i)
         if len(points) and len(triangles):
-            index, weights = nearest(target.x[owned[points]], source.surface.x[triangles])
-            entries.append((np.repeat(points, 3), triangles[index].ravel(), weights.ravel()))
+            index, barycentric = nearest(target.x[owned[points]], source.surface.x[triangles])
+            entries.append((np.repeat(points, 3), triangles[index].ravel(), barycentric.ravel()))
     rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
     return csr_array((values, (rows, columns)), shape=(len(owned), len(source.surface.weight)))

@@ -21,7 +21,7 @@ from app.foundation.arrays import Floats
 from app.numerics.newton import NewtonResult
 from app.numerics.remedies import solve
 from app.scene.scene import Stage
-from app.soundness.failure import explain
+from app.soundness.failure import explanation_of_failure
 from app.stepping.advance import Growth, Step, advance
 from app.stepping.load_steps import LoadStepper
 
@@ -228,7 +228,7 @@ class CreepSteps:
         stepper, stage = self._stepper, self._stage
         if self._failures > stage.max_cut_backs or (self._failures and not stage.adaptive):
             problem, solver = stepper.load_stepper.problem, stepper.load_stepper.solver
-            explanation = explain(problem, solver, stepper.outcome())
+            explanation = explanation_of_failure(problem, solver, stepper.outcome())
             raise explanation.error(stage.name, stepper.fraction(stage), [])
         stepper.load_stepper.total.rejected += 1
 

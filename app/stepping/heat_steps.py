@@ -121,7 +121,7 @@ class HeatStepper:
         assert accepted_step is not None
         time = self._k + (1.0 if step.end > 1 - SHORTEST_STEP else step.end)
         if self.mechanics is not None:
-            self.mechanics.follow(time, step.ends_increment)
+            self.mechanics.after_heat_step(time, step.ends_increment)
         outcome, seconds = accepted_step.outcome, clock.perf_counter() - started
         load_step = LoadStep(
             self.total.steps, self._stage.name, time, outcome, seconds, step.ends_increment

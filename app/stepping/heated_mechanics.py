@@ -194,7 +194,7 @@ class SolvedAfterHeat(HeatedMechanics):
         if is_new:
             self.time, self.previous = float(k), self._update_state()
 
-    def follow(self, time: float, ends_increment: bool) -> None:
+    def after_heat_step(self, time: float, ends_increment: bool) -> None:
         """Solve at the end of an increment, or after a large change."""
         current_state = self._update_state()
         if ends_increment or self._largest_change(current_state) >= self._limit:
@@ -222,7 +222,7 @@ class SolvedWithHeat(HeatedMechanics):
         self._system.begin_stage(k, stage, self.stage_start)
         self._system.restore(self._heating.solver.blocks())
 
-    def follow(self, time: float, ends_increment: bool) -> None:
+    def after_heat_step(self, time: float, ends_increment: bool) -> None:
         """Commit the mechanics of a heat step."""
         started = clock.perf_counter()
         heating, current_state = self._heating, self._update_state()

@@ -23,8 +23,8 @@ from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
 from app.scene.scene import Stage
 from app.soundness.cover import Cover
-from app.soundness.failure import explain, is_proportional
-from app.soundness.loose_bodies import held_by_facets, runaway
+from app.soundness.failure import explanation_of_failure, is_proportional
+from app.soundness.floating_bodies_of_state import error_of_body_held_by_facets, error_of_runaway
 from app.stepping.advance import Progress, Step, advance
 from app.stepping.energy_control import (
     HALVINGS,
@@ -228,8 +228,8 @@ class LoadStepper:
         location = f"stage '{stage.name}' at {percent:.3g} % of it"
         if trial is not None:
             verdict = (
-                held_by_facets(problem, trial)
-                or runaway(problem, trial)
+                error_of_body_held_by_facets(problem, trial)
+                or error_of_runaway(problem, trial)
                 or self._cover.pressed_beyond_rim(trial)
             )
             if verdict:
@@ -345,12 +345,13 @@ class LoadSteps:
         self._uses_predictors = False
         # From rest and without gaps, smaller steps fail in the same way.
         fails_alike = not self.start.norm() and is_proportional(solver, set_load, step.end)
-        explanation = explain(problem, solver, self._outcome, fails_alike)
+        explanation = explanation_of_failure(problem, solver, self._outcome, fails_alike)
         if self._is_predicted:
             self._stepper.on_trouble(f"{explanation.cause.what}; repeating without extrapolation")
             return
-        # If a body is free, halving hardly helps: it is tried once.
-        allowed_cuts = min(1, stage.max_cut_backs) if explanation.free else stage.max_cut_backs
+        allowed_cuts = stage.max_cut_backs
+        if explanation.has_floating_body:  # halving hardly helps: it is tried once
+            allowed_cuts = min(1, allowed_cuts)
         if fails_alike or not stage.adaptive or progress.cuts >= allowed_cuts:
             time = self._path.time(step.end) - int(self._path.begin)
             raise explanation.error(stage.name, time, self._halved_lengths)

@@ -34,7 +34,7 @@ _MISSING = "missing"
 _SOLVERS = ("MUMPS", "CHOLMOD")
 
 
-def report() -> str:
+def report_on_machine() -> str:
     """A table of versions, MPI, compiler, BLAS, threads and memory, and a line for each problem."""
     rows = {
         "mantle": __version__,

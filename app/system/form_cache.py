@@ -1,7 +1,8 @@
 """Cache of compiled forms: removal of incomplete modules, waiting, reasons why compiling fails.
 
-ffcx waits ten seconds for a form that another process compiles, whether that was killed or needs
-longer, and loads a module that was cut short, which takes the whole process down.
+ffcx waits ten seconds for a form that another process compiles, even if that process was killed. It
+loads truncated modules, which crashes the process. `patch_ffcx` replaces functions of ffcx, so that
+one process compiles at a time, and incomplete modules are compiled again.
 """
 
 from __future__ import annotations
@@ -29,14 +30,17 @@ log = logging.getLogger("mantle")
 
 LOCK = "compiling.lock"
 SOURCES = ("ffcx/codegeneration/jit.py", "dolfinx/jit.py")
-_compiling: list[int] = []  # the lock, open while this process compiles
-_announced: list[str] = []  # the first module compiled here, once the log says so
+# File descriptors of the lock file, open while this process compiles.
+_locks: list[int] = []
+# Name of the first module compiled here, once the log says so.
+_announced: list[str] = []
 
 
-def guard() -> None:
-    """Compile forms in one process at a time, and compile broken ones again.
+def patch_ffcx() -> None:
+    """Let ffcx compile a form in one process at a time, and compile incomplete modules again.
 
-    Files of options in the home and in the working folder, which may be another's, are ignored.
+    It also ignores files of options in the home and in the working folder, which may belong to
+    somebody else. A second call changes nothing.
     """
     from dolfinx import jit as of_dolfinx
     from ffcx import options
@@ -48,10 +52,10 @@ def guard() -> None:
         return
     with suppress(OSError, RuntimeError):
         files.make_private(form_cache())
-    jit.get_cached_module = partial(_find, jit.get_cached_module)
-    jit._compile_objects = partial(_mark, jit._compile_objects)
+    jit.get_cached_module = partial(_get_or_lock, jit.get_cached_module)
+    jit._compile_objects = partial(_compile_and_note_size, jit._compile_objects)
     for name in ("compile_forms", "compile_expressions"):
-        setattr(jit, name, partial(_compile, getattr(jit, name)))
+        setattr(jit, name, partial(_compile_then_unlock, getattr(jit, name)))
 
 
 def usable(folder: Path, name: str) -> bool:
@@ -65,10 +69,14 @@ def usable(folder: Path, name: str) -> bool:
         return False
 
 
-def _find(get: Callable[..., T], name: str, objects: list[str], folder: Path, timeout: int) -> T:
-    """`ffcx.codegeneration.jit.get_cached_module`, once no process compiles the module any more.
+def _get_or_lock(
+    get: Callable[..., T], name: str, objects: list[str], folder: Path, timeout: int
+) -> T:
+    """Get a module from the cache, or lock its name, so that this process compiles it.
 
-    A compiling process locks one byte of a file, which ends with the process.
+    It replaces `ffcx.codegeneration.jit.get_cached_module`, which is ``get``. A process that
+    compiles a module locks one byte of a file. The lock ends with the process. A module that is
+    incomplete although no process compiles it is removed.
     """
     folder = Path(folder)
     if usable(folder, name):
@@ -77,23 +85,28 @@ def _find(get: Callable[..., T], name: str, objects: list[str], folder: Path, ti
         except ImportError:  # damaged
             _remove(folder, name)
     with suppress(OSError):  # a file system without locks, or a folder that cannot be written
-        _compiling.append(files.lock_file(folder / LOCK))
-        fcntl.lockf(_compiling[-1], fcntl.LOCK_EX, 1, int(name[-12:], 16))
+        _locks.append(files.lock_file(folder / LOCK))
+        fcntl.lockf(_locks[-1], fcntl.LOCK_EX, 1, int(name[-12:], 16))
         # An incomplete module without a lock was left by a killed process.
         if not usable(folder, name):
             _remove(folder, name)
     return get(name, objects, folder, timeout)
 
 
-def _mark(compile: Callable[..., T], *arguments: object, **options: object) -> T:
-    """Compile a module, and note its size in the mark of completion."""
+def _compile_and_note_size(
+    compile_objects: Callable[..., T], *arguments: object, **options: object
+) -> T:
+    """Compile a module, and note its size in the file by which ffcx marks it as complete.
+
+    It replaces `ffcx.codegeneration.jit._compile_objects`. An error has the compiler's output.
+    """
     name, folder = str(arguments[3]), Path(str(arguments[5]))
     if not _announced:
         log.info("     compiling forms; later runs reuse them")
         _announced.append(name)
     with captured("compiler") as compiler_output:
         try:
-            code = compile(*arguments, **options)
+            code = compile_objects(*arguments, **options)
         except Exception as error:
             error.add_note("\n".join(compiler_output()))
             raise
@@ -102,13 +115,15 @@ def _mark(compile: Callable[..., T], *arguments: object, **options: object) -> T
     return code
 
 
-def _compile(compile: Callable[..., T], *arguments: object, **options: object) -> T:
-    """Compile forms, and release the lock in the end."""
+def _compile_then_unlock(
+    compile_forms: Callable[..., T], *arguments: object, **options: object
+) -> T:
+    """Compile forms or expressions, and release the locks in the end."""
     try:
-        return compile(*arguments, **options)
+        return compile_forms(*arguments, **options)
     finally:
-        while _compiling:
-            os.close(_compiling.pop())
+        while _locks:
+            os.close(_locks.pop())
 
 
 def _remove(folder: Path, name: str) -> None:
@@ -117,7 +132,7 @@ def _remove(folder: Path, name: str) -> None:
             (folder / (name + suffix)).unlink(missing_ok=True)
 
 
-def explain(error: BaseException) -> EnvironmentProblem | None:
+def error_of_compilation(error: BaseException) -> EnvironmentProblem | None:
     """Error that explains a failed compilation or load of a form; None for any other."""
     frames = traceback.extract_tb(error.__traceback__)
     if not any(frame.filename.endswith(SOURCES) for frame in frames):

@@ -25,13 +25,13 @@ OUTSIDE = re.compile(
 MISSING = "missing"
 
 
-def text() -> str:
+def text_of_versions() -> str:
     """All parts as one text."""
-    return json.dumps(parts(), sort_keys=True)
+    return json.dumps(versions(), sort_keys=True)
 
 
 @lru_cache(maxsize=1)
-def parts() -> dict[str, str]:
+def versions() -> dict[str, str]:
     """Versions of mantle (with a hash of its sources), dolfinx, PETSc, gmsh, BLAS with its kernel.
 
     A package that is not installed is "missing".
@@ -67,12 +67,12 @@ def sources() -> dict[str, Path]:
 
 def _version(*packages: str) -> str:
     """Version of the first of some packages that is installed."""
-    versions = (
+    found_versions = (
         distribution.version
         for name in packages
         for distribution in metadata.distributions(name=name)
     )
-    return next(versions, MISSING)
+    return next(found_versions, MISSING)
 
 
 def _petsc() -> ctypes.CDLL | None:

@@ -11,7 +11,9 @@ NUMBER = re.compile(r"([-+<]?\s*[\d.][\d.,e+\-±/ ]*( ?[^\d\s]{1,3})?|[-/. ]*)")
 ROUNDING = 1e-12
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[object]], units: Sequence[str] = ()) -> str:
+def text_table(
+    head: Sequence[str], rows: Iterable[Sequence[object]], units: Sequence[str] = ()
+) -> str:
     """Text table with columns as wide as their widest cell, numbers aligned to the right.
 
     A cell that is None is empty; units, if any, stand below the titles.
@@ -85,12 +87,12 @@ def noted(cases: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
     ]
 
 
-def plain(value: object) -> str:
+def plain_text(value: object) -> str:
     """A value on one line, floats rounded for reading."""
     if isinstance(value, dict):
-        return ", ".join(f"{k} {plain(v)}" for k, v in value.items())
+        return ", ".join(f"{k} {plain_text(v)}" for k, v in value.items())
     if isinstance(value, list | tuple):
-        item_texts = [plain(v) for v in _without_rounding(value)]
+        item_texts = [plain_text(v) for v in _without_rounding(value)]
         units = [value_text.partition(" ")[2] for value_text in item_texts]
         unit = units[0] if units else ""
         if len(item_texts) > 1 and set(units) == {unit} and unit[:1].isalpha():

@@ -20,7 +20,7 @@ FORMS = "H:MM:SS, MM:SS, D-H:MM:SS, or a number with s, min, h or d"
 UNITS = {"s": 1, "min": 60, "h": 3600, "d": 86400}
 
 
-def seconds(text: str) -> float:
+def seconds_of_duration(text: str) -> float:
     """Seconds of a duration: as in batch systems, ``[D-]H:MM:SS`` or ``MM:SS``, or ``90 min``."""
     total = 0.0
     if with_unit := re.fullmatch(r"(\d+\.?\d*)\s*(s|min|h|d)", text.strip()):

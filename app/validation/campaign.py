@@ -37,7 +37,7 @@ from app.validation.experiment import (
     Conditions,
     Experiment,
     PredictedQuantity,
-    place,
+    place_of_run,
 )
 from app.validation.records import ExperimentRecord, MeasuredQuantity, Prediction, Predictions
 
@@ -94,7 +94,7 @@ def run(options: Options, *, record: bool) -> bool:
     all_runs = [run for runs in planned.values() for run in runs]
     if options.dry_run:
         heading = f"validate: {len(experiments)} experiments"
-        log.info("%s", batch.plan(heading, all_runs, options))
+        log.info("%s", batch.table_of_planned_runs(heading, all_runs, options))
         return True
     if record:
         return _record(experiments, planned, options)
@@ -181,7 +181,7 @@ def _results(
         (name, r)
         for name, ended in by_name.items()
         for r in ended
-        if r.exit_code and place(r.planned.name).part != SAMPLES
+        if r.exit_code and place_of_run(r.planned.name).part != SAMPLES
     ]
     if failed:
         lines = [f"{name}: {r.planned.name}: {r.message}" for name, r in failed]
@@ -191,7 +191,7 @@ def _results(
 
 def _conditions(results: Sequence[Result], part: str, sample: int = 0) -> Conditions:
     """Results by condition of a part, of one sample."""
-    places_and_results = [(place(r.planned.name), r) for r in results]
+    places_and_results = [(place_of_run(r.planned.name), r) for r in results]
     return {
         place_in_sweep.condition: Results(r.folder)
         for place_in_sweep, r in places_and_results
@@ -280,7 +280,7 @@ def predict(experiment: Experiment, results: Sequence[Result]) -> dict[str, Pred
             log.warning("%s: sample %d failed and is left out", experiment.name, number)
             continue
         complete.append(conditions)
-        runs = [r.planned for r in results if place(r.planned.name).sample == number]
+        runs = [r.planned for r in results if place_of_run(r.planned.name).sample == number]
         inputs.append(_inputs(experiment, runs))
     if len(complete) < FEWEST:
         message = f"only {len(complete)} samples are complete; a prediction needs {FEWEST}"
@@ -298,7 +298,9 @@ def _inputs(experiment: Experiment, runs: Sequence[PlannedRun]) -> dict[str, obj
     values: dict[str, object] = {}
     for key in keys:
         of_runs = {
-            place(r.name).condition: r.point.changes[key] for r in runs if key in r.point.changes
+            place_of_run(r.name).condition: r.point.changes[key]
+            for r in runs
+            if key in r.point.changes
         }
         if len(set(map(str, of_runs.values()))) == 1:
             values[key] = next(iter(of_runs.values()))
@@ -339,7 +341,7 @@ def _predicted_table(name: str, predicted: Mapping[str, Prediction]) -> str:
         (key, p.unit, f"{p.value:.4g}", f"{p.discretization:.2g}", _interval(p.band))
         for key, p in predicted.items()
     ]
-    return layout.table((name, "unit", "predicted", "± mesh", "band"), rows)
+    return layout.text_table((name, "unit", "predicted", "± mesh", "band"), rows)
 
 
 # ComparedQuantity
@@ -348,13 +350,13 @@ def _predicted_table(name: str, predicted: Mapping[str, Prediction]) -> str:
 def _write(comparisons: Sequence[ComparedQuantity], options: Options) -> None:
     """Log the table; write the numbers and the pictures."""
     table = [_row(c) for c in comparisons]
-    log.info("%s", layout.table(list(table[0]), [list(row.values()) for row in table]))
+    log.info("%s", layout.text_table(list(table[0]), [list(row.values()) for row in table]))
     folder = options.folder
     experiment_names = dict.fromkeys(c.experiment for c in comparisons)
     pictures = {name: folder / f"{name}.png" for name in ("validate", *experiment_names)}
     remove(pictures.values())
     with batch.writable(folder):
-        write_json(folder / "validate.json", [as_json(c) for c in comparisons])
+        write_json(folder / "validate.json", [json_of_comparison(c) for c in comparisons])
         write_text(folder / "validate.csv", csv_text(table))
         pairs = [(f"{c.experiment}: {c.quantity}", c.prediction, c.measured) for c in comparisons]
         picture.draw_all(pairs, pictures["validate"])
@@ -399,7 +401,7 @@ def _interval(interval: tuple[float, float]) -> str:
     return f"{interval[0]:.3g} to {interval[1]:.3g}"
 
 
-def as_json(c: ComparedQuantity) -> dict[str, object]:
+def json_of_comparison(c: ComparedQuantity) -> dict[str, object]:
     """The entry of ``validate.json``."""
     p, m = c.prediction, c.measured
     outcome = "predicted"

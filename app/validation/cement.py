@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from app.foundation.arrays import Floats
@@ -29,40 +27,39 @@ def setting(run: Results) -> float:
     return float(np.interp(halfway, centre[rise], run.step_record["seconds [s]"][rise]))
 
 
-def _difference(
-    text: str, unit: str, number: Callable[[Results], float], first: str, second: str
-) -> PredictedQuantity:
-    """Difference of a number between two conditions of the discs."""
-
-    def difference(runs: Conditions) -> float:
-        return number(runs[first]) - number(runs[second])
-
-    failure = (
-        "Outside of the band the kinetics do not describe how heat that stays in the cement speeds "
-        "up its setting, or a gap opens between cement and mould."
-    )
-    return PredictedQuantity(text, unit, difference, failure)
-
-
+KINETICS = (
+    "Outside of the band the kinetics do not describe how heat that stays in the cement speeds up "
+    "its setting, or a gap opens between cement and mould."
+)
 DISC = Experiment(
     name="disc",
     title="Exotherm in moulds of PTFE and of polyurethane foam",
     blind=False,
     quantities={
-        "foam_peak": _difference(
-            "peak at 6 mm, foam minus PTFE", "K", peak, "foam_thin", "PTFE_thin"
+        "foam_peak": PredictedQuantity.difference(
+            "peak at 6 mm, foam minus PTFE", "K", peak, "foam_thin", "PTFE_thin", KINETICS
         ),
-        "PTFE_rise": _difference(
-            "peak in PTFE, 40 mm minus 6 mm", "K", peak, "PTFE_thick", "PTFE_thin"
+        "PTFE_rise": PredictedQuantity.difference(
+            "peak in PTFE, 40 mm minus 6 mm", "K", peak, "PTFE_thick", "PTFE_thin", KINETICS
         ),
-        "foam_rise": _difference(
-            "peak in foam, 40 mm minus 6 mm", "K", peak, "foam_thick", "foam_thin"
+        "foam_rise": PredictedQuantity.difference(
+            "peak in foam, 40 mm minus 6 mm", "K", peak, "foam_thick", "foam_thin", KINETICS
         ),
-        "PTFE_time": _difference(
-            "setting time in PTFE, 6 mm minus 40 mm", "s", setting, "PTFE_thin", "PTFE_thick"
+        "PTFE_time": PredictedQuantity.difference(
+            "setting time in PTFE, 6 mm minus 40 mm",
+            "s",
+            setting,
+            "PTFE_thin",
+            "PTFE_thick",
+            KINETICS,
         ),
-        "foam_time": _difference(
-            "setting time in foam, 6 mm minus 40 mm", "s", setting, "foam_thin", "foam_thick"
+        "foam_time": PredictedQuantity.difference(
+            "setting time in foam, 6 mm minus 40 mm",
+            "s",
+            setting,
+            "foam_thin",
+            "foam_thick",
+            KINETICS,
         ),
     },
 )

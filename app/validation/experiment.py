@@ -63,6 +63,13 @@ class PredictedQuantity:
         return cls(text, unit, lambda runs: measure(runs[run]), failure)
 
     @classmethod
+    def difference(
+        cls, text: str, unit: str, measure: Measure, first: str, second: str, failure: str
+    ) -> Self:
+        """Quantity of one run minus that of another."""
+        return cls(text, unit, lambda runs: measure(runs[first]) - measure(runs[second]), failure)
+
+    @classmethod
     def ratio(cls, text: str, measure: Measure, over: str, under: str, failure: str) -> Self:
         """Quantity of one run over that of another."""
         return cls(text, "-", lambda runs: measure(runs[over]) / measure(runs[under]), failure)
@@ -92,7 +99,7 @@ class Experiment:
     @cached_property
     def content(self) -> Sweep:
         """Content of the sweep; its cases are not checked."""
-        return sweep_file.content(yaml_file.read(self.sweep), Sweep)
+        return sweep_file.checked_content(yaml_file.read(self.sweep), Sweep)
 
     def plan(self, *parts: str) -> list[PlannedRun]:
         """Runs of some parts of the sweep, of all by default, in its order.
@@ -101,10 +108,12 @@ class Experiment:
             InputError: The sweep or one of its cases is wrong.
         """
         points = [
-            point for point in self.content.points() if not parts or place(point.name).part in parts
+            point
+            for point in self.content.points()
+            if not parts or place_of_run(point.name).part in parts
         ]
         file = yaml_file.read(self.sweep)
-        runs, faults = sweep_file.plan(file, self.sweep.parent, points, ())
+        runs, faults = sweep_file.runs_and_faults(file, self.sweep.parent, points, ())
         file.raise_all(faults)
         return [replace(run, share=True) for run in runs]
 
@@ -130,7 +139,7 @@ class Place:
     sample: int
 
 
-def place(name: str) -> Place:
+def place_of_run(name: str) -> Place:
     """Place of a run, from its name such as ``samples_polished/short_sample07``."""
     of_part, _, label = name.partition("/")
     part, _, condition_start = of_part.partition("_")

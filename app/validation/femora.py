@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from app.foundation.arrays import Floats
 from app.results.reading import Results
-from app.validation.experiment import Conditions, Experiment, PredictedQuantity
+from app.schema.units import Dimension
+from app.validation.experiment import Experiment, PredictedQuantity
 
 # Time at which a stem without cement is in its place, before the force.
 INSERTED = 1.0
@@ -16,44 +15,30 @@ INSERTED = 1.0
 GAUGE = 3.0
 # Strain in microstrain.
 MICRO = 1e6
+# Quantities of a case, which are texts with units.
+FORCE = Dimension("N", "a force", "2000 N")
+MODULUS = Dimension("MPa", "a stress", "2.2 GPa")
 
 
-def strain(run: Results, gauge: str) -> float:
+def strain_of_gauge(run: Results, gauge: str) -> float:
     """Strain of a gauge by the force alone: zeroed after the insertion of the stem [um/m]."""
     record = run.step_record
     column = record[f"{gauge} strain [-]"]
-    inserted_strains = column[record["time [-]"] <= INSERTED] if _inserted(run) else np.zeros(1)
+    inserted_strains = (
+        column[record["time [-]"] <= INSERTED] if _is_cementless(run) else np.zeros(1)
+    )
     return float(MICRO * (column[-1] - inserted_strains[-1]))
 
 
-def _inserted(run: Results) -> bool:
-    """Return True if a stage of the run inserts the stem."""
+def _is_cementless(run: Results) -> bool:
+    """Return True if the run has a stem without cement. Its first stage inserts the stem."""
     return "stem_bone" in run.summary["interfaces"]
 
 
 def stiffness(run: Results) -> float:
     """Force on the head over the displacement of the head along it [N/mm]."""
-    components = run.case["loads"]["head"]["force"]
-    force = np.array([float(str(component).split()[0]) for component in components])
+    force = np.array([FORCE.read(component) for component in run.case["loads"]["head"]["force"]])
     return float(force @ force / (force @ run.summary["femur"]["head_displacement"]))
-
-
-def _of(
-    text: str, unit: str, number: Callable[[Results], float], condition: str, failure: str
-) -> PredictedQuantity:
-    """A number of one condition."""
-    return PredictedQuantity(text, unit, lambda runs: number(runs[condition]), failure)
-
-
-def _ratio(
-    text: str, number: Callable[[Results], float], over: str, under: str, failure: str
-) -> PredictedQuantity:
-    """Ratio of a number of two conditions."""
-
-    def ratio(runs: Conditions) -> float:
-        return number(runs[over]) / number(runs[under])
-
-    return PredictedQuantity(text, "-", ratio, failure)
 
 
 # A stem without cement, four sides
@@ -72,49 +57,50 @@ COMPOSITE_STRAIN = Experiment(
     title="Stem without cement in a synthetic femur",
     blind=True,
     quantities={
-        "stiffness": _of(
+        "stiffness": PredictedQuantity.of_run(
             "force on the head over its displacement along the force, intact femur",
             "N/mm",
             stiffness,
             "intact",
             SHAPE,
         ),
-        "stiffness_ratio": _ratio(
+        "stiffness_ratio": PredictedQuantity.ratio(
             "this stiffness with the stem over that of the intact femur",
             stiffness,
             "stem",
             "intact",
             SHAPE,
         ),
-        "medial": _of(
+        "medial": PredictedQuantity.of_run(
             "strain along the shaft for 2000 N, medial, 40 mm below mid lesser trochanter, intact",
             "um/m",
-            lambda run: strain(run, "medial_40"),
+            lambda run: strain_of_gauge(run, "medial_40"),
             "intact",
             SHAPE,
         ),
-        "lateral": _of(
+        "lateral": PredictedQuantity.of_run(
             "the same, lateral",
             "um/m",
-            lambda run: strain(run, "lateral_40"),
+            lambda run: strain_of_gauge(run, "lateral_40"),
             "intact",
             SHAPE,
         ),
+        # The experiment puts the gauges `*_10` between 5 and 20 mm below mid lesser trochanter.
         **{
-            f"{side}_share": _ratio(
+            f"{side}_share": PredictedQuantity.ratio(
                 f"strain along the shaft with the stem over that of the intact femur, {side}, 5 to "
                 "20 mm below mid lesser trochanter",
-                lambda run, side=side: strain(run, f"{side}_10"),  # type: ignore[misc]
+                lambda run, side=side: strain_of_gauge(run, f"{side}_10"),  # type: ignore[misc]
                 "stem",
                 "intact",
                 SHIELDED,
             )
             for side in SIDES
         },
-        "distal_share": _ratio(
+        "distal_share": PredictedQuantity.ratio(
             "strain along the shaft with the stem over that of the intact femur, medial, 80 mm "
             "below mid lesser trochanter",
-            lambda run: strain(run, "medial_80"),
+            lambda run: strain_of_gauge(run, "medial_80"),
             "stem",
             "intact",
             SHIELDED,
@@ -138,7 +124,7 @@ def cement_strain(run: Results, z: float) -> float:
     is_in_gauge = is_last_step & (np.abs(table["z [mm]"] - z) <= GAUGE / 2)
     xx, yy, zz = (_mean(table[f"stress.{axis} [MPa]"][is_in_gauge]) for axis in ("xx", "yy", "zz"))
     cement = run.case["regions"]["cement"]
-    E, ν = (float(str(cement[key]).split()[0]) for key in ("youngs_modulus", "poisson_ratio"))
+    E, ν = MODULUS.read(cement["youngs_modulus"]), float(cement["poisson_ratio"])
     return MICRO * (zz - ν * (xx + yy)) / E
 
 
@@ -156,7 +142,7 @@ COMPOSITE_BOND = Experiment(
     blind=True,
     quantities={
         **{
-            f"cement_{name}": _ratio(
+            f"cement_{name}": PredictedQuantity.ratio(
                 f"strain along the shaft of the medial cement, debonded over bonded, {name}",
                 lambda run, z=z: cement_strain(run, z),  # type: ignore[misc]
                 "debonded",
@@ -166,17 +152,17 @@ COMPOSITE_BOND = Experiment(
             for name, z in LEVELS.items()
         },
         **{
-            f"bone_{level}": _ratio(
+            f"bone_{level}": PredictedQuantity.ratio(
                 "strain along the shaft of the medial bone, debonded over bonded, "
                 f"{level} mm below mid lesser trochanter",
-                lambda run, level=level: strain(run, f"medial_{level}"),  # type: ignore[misc]
+                lambda run, level=level: strain_of_gauge(run, f"medial_{level}"),  # type: ignore[misc]
                 "debonded",
                 "bonded",
                 BOND,
             )
             for level in (10, 40, 80)
         },
-        "head": _ratio(
+        "head": PredictedQuantity.ratio(
             "stiffness at the head, debonded over bonded",
             stiffness,
             "debonded",

@@ -15,7 +15,7 @@ PROBABILITIES = 4000
 EXPANDED = 2.0
 
 
-def band(prediction: Prediction) -> tuple[float, float]:
+def predicted_band(prediction: Prediction) -> tuple[float, float]:
     """Predicted band: 5th to 95th percentile of the samples, widened by the discretization."""
     lowest, highest = prediction.band
     return lowest - prediction.discretization, highest + prediction.discretization
@@ -31,7 +31,7 @@ def measured_range(measured: MeasuredQuantity) -> tuple[float, float]:
 
 def inside(prediction: Prediction, measured: MeasuredQuantity) -> bool:
     """Return True if the predicted band and the measured range overlap."""
-    lowest_predicted, highest_predicted = band(prediction)
+    lowest_predicted, highest_predicted = predicted_band(prediction)
     lowest_measured, highest_measured = measured_range(measured)
     return lowest_predicted <= highest_measured and lowest_measured <= highest_predicted
 

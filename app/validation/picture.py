@@ -40,7 +40,7 @@ def draw_all(pairs: Sequence[Pair], path: Path) -> None:
     for name, prediction, measured in pairs:
         if measured is None:
             continue
-        lowest_predicted, highest_predicted = metrics.band(prediction)
+        lowest_predicted, highest_predicted = metrics.predicted_band(prediction)
         lowest_measured, highest_measured = metrics.measured_range(measured)
         if min(measured.middle, prediction.value) <= 0:
             left_out += 1
@@ -82,9 +82,9 @@ def draw_all(pairs: Sequence[Pair], path: Path) -> None:
     title = f"{len(points)} quantities with a measurement; blue: inside, orange: outside"
     if left_out:
         title += f"; {left_out} not positive"
-    figures.title(axes, title)
+    figures.set_title(axes, title)
     figures.grid(axes)
-    figures.save(figure, path, 110, PNG)
+    figures.save_figure(figure, path, 110, PNG)
 
 
 def draw_one(title: str, pairs: Sequence[Pair], path: Path) -> None:
@@ -108,13 +108,13 @@ def draw_one(title: str, pairs: Sequence[Pair], path: Path) -> None:
     axes.legend(fontsize=WORDS, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     axes.set_title(title, loc="right", fontsize=WORDS)
     figures.grid(axes)
-    figures.save(figure, path, 110, PNG)
+    figures.save_figure(figure, path, 110, PNG)
 
 
 def _row(axes: Axes, row: int, prediction: Prediction, measured: MeasuredQuantity | None) -> None:
     """Draw the two bands of a quantity."""
     scale = prediction.value or 1.0
-    bands = [(PREDICTED, -0.12, prediction.value, metrics.band(prediction))]
+    bands = [(PREDICTED, -0.12, prediction.value, metrics.predicted_band(prediction))]
     if measured is not None:
         bands.append((MEASURED, 0.12, measured.middle, metrics.measured_range(measured)))
     for k, shift, middle, interval in bands:

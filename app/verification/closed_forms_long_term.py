@@ -26,13 +26,13 @@ E = 2200.0  # Young's modulus of creep_bar.yaml [MPa]
 SUBSIDENCE = 0.15611
 
 
-def strain(law: Law, s: float, N: float) -> float:
+def creep_strain_at_constant_stress(law: Law, s: float, N: float) -> float:
     """Creep strain at a constant stress."""
     A, p, m0, m1 = law
     return float(A * s**p * N ** (m0 + m1 * math.log10(s)))
 
 
-def relaxed(law: Law, s: float, N: float) -> float:
+def relaxed_stress(law: Law, s: float, N: float) -> float:
     """Stress of a bar stretched to a stress s and held.
 
     By strain hardening dN/de is a function of e alone, as the stress is s - E e. In z = e^(1/m(s))

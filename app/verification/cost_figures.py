@@ -60,7 +60,7 @@ ROUNDING = 1e-12  # mm
 # Runs
 
 
-def femur(kind: str, rung: str) -> ProblemRun:
+def femur_run(kind: str, rung: str) -> ProblemRun:
     """The femur at first order, its interfaces in contact or bonded."""
     laws = BONDED if kind == "bonded" else ()
     overrides = ("mesh.order=1", *STANCE, *laws, f"mesh.size={RUNGS[rung]}")
@@ -74,7 +74,7 @@ def cemented_stem(rung: str, overrides: Sequence[str]) -> ProblemRun:
     return ProblemRun(STEM, (*overrides, *sizes), times=REPEATS if rung in CHEAP else 1)
 
 
-def varied(first: ProblemRun) -> list[ProblemRun]:
+def runs_of_variations(first: ProblemRun) -> list[ProblemRun]:
     """The twelve cases of a model in one process."""
     return [ProblemRun(FEMUR, (*first.overrides, *changes), share=True) for changes in TWELVE]
 
@@ -105,7 +105,7 @@ def minutes(run: Run) -> float:
 
 def penetration(run: Run) -> float:
     """Largest penetration of both interfaces [mm]."""
-    return max(numbers_of(run, "penetration_max").values())
+    return max(numbers_of_interfaces(run, "penetration_max").values())
 
 
 def median_of(figure: Callable[[Run], float], runs: Sequence[Run]) -> Comparison:
@@ -119,24 +119,26 @@ def ratio(runs: Sequence[Run], figure: Callable[[Run], float] = cpu) -> Comparis
     return Comparison(median(figures[0] / figures[1]))
 
 
-def numbers_of(run: Run, key: str) -> dict[str, float]:
+def numbers_of_interfaces(run: Run, key: str) -> dict[str, float]:
     """A number of each interface."""
     return {name: float(q[key]) for name, q in run.summary["interfaces"].items()}
 
 
-def unknowns(run: Run) -> int:
+def unknowns_of_run(run: Run) -> int:
     """Number of unknowns."""
     return int(run.summary["solver"]["dofs"])
 
 
 def growth(runs: Sequence[Run]) -> Comparison:
     """Exponent p of time ~ unknowns^p by least squares in logarithms, of median times."""
-    rungs = {n: list(rung) for n, rung in groupby(sorted(runs, key=unknowns), unknowns)}
+    rungs = {
+        n: list(rung) for n, rung in groupby(sorted(runs, key=unknowns_of_run), unknowns_of_run)
+    }
     times = [median(map(cpu, rung)) for rung in rungs.values()]
     return Comparison(fitted_order(list(rungs), times))
 
 
-def spread(runs: Sequence[Run]) -> Comparison:
+def spread_of_iterations(runs: Sequence[Run]) -> Comparison:
     """Deviation of Newton iterations from the middle of their range."""
     newton = [run.summary["solver"]["newton_iterations"] for run in runs]
     return Comparison((max(newton) - min(newton)) / 2, note=f"{min(newton)} to {max(newton)}")
@@ -166,11 +168,11 @@ def equal_error(runs: Sequence[Run]) -> Comparison:
         runs: The run, the reference, then the others by size.
     """
     second_order, reference, *first_order_runs = runs
-    run_of_size = {unknowns(run): run for run in reversed(first_order_runs)}
-    reference_numbers = numbers_of(reference, "slip_p99")
+    run_of_size = {unknowns_of_run(run): run for run in reversed(first_order_runs)}
+    reference_numbers = numbers_of_interfaces(reference, "slip_p99")
 
     def error(run: Run) -> float:
-        run_numbers = numbers_of(run, "slip_p99")
+        run_numbers = numbers_of_interfaces(run, "slip_p99")
         return max(
             abs(run_numbers[name] / reference_numbers[name] - 1) for name in reference_numbers
         )

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from app.case import quantities
-from app.case.case import load
+from app.case.case import load_case
 from app.foundation.arrays import Field, Floats, Ints
 from app.foundation.verdict import Reason
 from app.laws.interface_laws import InterfaceLaw
@@ -156,7 +156,7 @@ def difference_between(
 
 def law_of(run: Run, name: str) -> InterfaceLaw:
     """The law of an interface of a run."""
-    return load(run.folder / "case.yaml").config.interfaces[name]
+    return load_case(run.folder / "case.yaml").config.interfaces[name]
 
 
 def law_violation(run: Run) -> Comparison:

@@ -45,7 +45,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     by_name = {name: [_dot(row) for row in group] for name, group in groups.items()}
     dots(axes, by_name, (LEAST, MOST), 1.0)
     axes.set_xlabel("error / tolerance")
-    figures.save(figure, path, 110, PNG)
+    figures.save_figure(figure, path, 110, PNG)
 
 
 def _orders(rows: Sequence[Row]) -> Panel:

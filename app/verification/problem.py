@@ -27,7 +27,7 @@ import pytest
 
 import configs
 from app.campaigns.work_precision import fitted_order
-from app.case.case import PlannedRun, load
+from app.case.case import PlannedRun, load_case
 from app.case.summary import Summary
 from app.foundation.errors import (
     ConvergenceError,
@@ -394,7 +394,7 @@ def judging(row: Row) -> Iterator[None]:
 # Test functions
 
 
-def name_of(item: pytest.Function) -> str:
+def name_of_problem(item: pytest.Function) -> str:
     """Name of a problem: that of its test, with the parameters after it."""
     name = item.name.removeprefix("test_").removesuffix("]")
     return name.replace("[", "_").replace("/", "_").replace(" ", "_")
@@ -413,7 +413,7 @@ def within(tier: str, chosen_tier: str) -> bool:
 
 def row_of(item: pytest.Function, suite: str) -> Row:
     """The row of a problem in a suite, before it is judged."""
-    name = name_of(item)
+    name = name_of_problem(item)
     marker = item.get_closest_marker(suite)
     group = suite if suite == "bench" else name.partition("_")[0]
     if marker and marker.kwargs:
@@ -461,7 +461,7 @@ def solve_here(name: str, folder: Path) -> Runner:
     # Not at the top: the process of `mantle verify` starts ranks and must not initialize MPI.
     from app.simulation import finished_runs, session
 
-    form_cache.guard()  # other tests compile at the same time
+    form_cache.patch_ffcx()  # other tests compile at the same time
 
     def solved(problem_run: ProblemRun, folder: Path) -> SolvedRun:
         message = ""
@@ -470,7 +470,7 @@ def solve_here(name: str, folder: Path) -> Runner:
         log.addHandler(log_handler)
         try:
             planned = planned_run(name, problem_run, folder.parent)
-            case = load(planned.file, planned.overrides)
+            case = load_case(planned.file, planned.overrides)
             finished_runs.prepare(case, folder)
             with ranks.mpi_settings():
                 session.run(case, folder, signals=False)

@@ -125,7 +125,7 @@ class Suite:
         if not self.solve or not self.problems or self.error:
             return True
         try:
-            solve(self.problems.values(), self.options, timed=self.name == "bench")
+            solve_problems(self.problems.values(), self.options, timed=self.name == "bench")
         except Exception as error:  # pytest would print it and go on
             self.error = error
             return True
@@ -184,11 +184,14 @@ def run(name: str, options: Options) -> bool:
     suite = _pytest(Suite(name, options, solve=not options.dry_run))
     if options.dry_run:
         problems = suite.problems.values()
-        plan(problems, options.folder, timed=name == "bench")
+        plan_runs(problems, options.folder, timed=name == "bench")
         runs = [run for p in problems for run in p.planned if isinstance(run, PlannedRun)]
-        log.info("%s", batch.plan(f"{name}: {len(suite.problems)} problems", runs, options))
+        log.info(
+            "%s",
+            batch.table_of_planned_runs(f"{name}: {len(suite.problems)} problems", runs, options),
+        )
         return True
-    log.info("%s", table(suite.rows))
+    log.info("%s", table_of_rows(suite.rows))
     write(name, options, suite.rows)
     log.info("%s\nresults in %s", verdict(suite.rows), options.folder)
     return all(
@@ -200,7 +203,7 @@ def run(name: str, options: Options) -> bool:
 # Runs
 
 
-def plan(problems: Iterable[PlannedProblem], folder: Path, *, timed: bool) -> None:
+def plan_runs(problems: Iterable[PlannedProblem], folder: Path, *, timed: bool) -> None:
     """Plan all runs; a wrong case counts as a run that failed with this error.
 
     Args:
@@ -221,14 +224,14 @@ def plan(problems: Iterable[PlannedProblem], folder: Path, *, timed: bool) -> No
                 problem.planned.append(refused_run)
 
 
-def solve(problems: Iterable[PlannedProblem], options: Options, *, timed: bool) -> None:
+def solve_problems(problems: Iterable[PlannedProblem], options: Options, *, timed: bool) -> None:
     """Solve the runs of all problems; failed runs are not repeated.
 
     If times are measured (``timed``), problems are solved one after the other and their runs in
     turn. Disturbances of the machine then affect all runs alike.
     """
     problems = list(problems)
-    plan(problems, options.folder, timed=timed)
+    plan_runs(problems, options.folder, timed=timed)
     solved_together = [[problem] for problem in problems] if timed else [problems]
     results: dict[tuple[object, int], Result] = {}
     for group in solved_together:
@@ -284,18 +287,18 @@ def _solved(
 # Reports
 
 
-def table(rows: Sequence[Row]) -> str:
+def table_of_rows(rows: Sequence[Row]) -> str:
     """A line for each problem, one for each group if there are several, and the failures."""
     titles_of_rows = (
         *("problem", "computed", "exact", "error", "tolerance", "order", "expected", "seconds"),
         *("outcome", "number", "source", ""),
     )
-    tables = [layout.table(titles_of_rows, map(_line, rows))]
+    tables = [layout.text_table(titles_of_rows, map(_line, rows))]
     groups = by_group(rows)
     if len(groups) > 1:
         titles = ("group", "problems", *OUTCOMES, "seconds", "worst", "of", "")
         tables.append(
-            layout.table(titles, (_summed(name, members) for name, members in groups.items()))
+            layout.text_table(titles, (_summed(name, members) for name, members in groups.items()))
         )
     for row in rows:
         if row.outcome in (MISSED, FAILED) and row.message:
@@ -350,7 +353,7 @@ def verdict(rows: Sequence[Row]) -> str:
     return f"{sentence}: {', '.join(not_passed)}" if not_passed else sentence
 
 
-def as_json(row: Row) -> dict[str, object]:
+def json_of_row(row: Row) -> dict[str, object]:
     """The entry of the JSON file."""
     c = row.comparison
     return {
@@ -395,7 +398,7 @@ def write(name: str, options: Options, rows: Sequence[Row]) -> None:
     options.folder.mkdir(parents=True, exist_ok=True)
     drawing = options.folder / f"{stem}.png"
     remove([drawing])  # should the new one fail, the old one does not stay next to new numbers
-    write_json(options.folder / f"{stem}.json", [as_json(row) for row in rows])
+    write_json(options.folder / f"{stem}.json", [json_of_row(row) for row in rows])
     write_text(options.folder / f"{stem}.csv", csv_text(list(costs(rows))))
     picture.draw(rows, drawing)
 

@@ -12,7 +12,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from app.report.sweep_results import QUANTITIES, Number, SweptCase, named
-from app.system.layout import plain
+from app.system.layout import plain_text
 from docs.paper import cases as paper
 from docs.paper.cases import Cases
 
@@ -129,7 +129,7 @@ def above(label: str, pairs: Iterable[tuple[Number | None, Number | None]]) -> S
 
 
 def _at(over: str, value: object) -> str:
-    return AT[over].format(plain(value))
+    return AT[over].format(plain_text(value))
 
 
 def _missing(what: str) -> Statement:

@@ -23,7 +23,7 @@ from typing import Any
 from app.case.quantities import numbers_of, printed
 from app.plots.curves import Line, Panel, draw
 from app.plots.figures import PNG
-from app.report.sweep_figures import line_of
+from app.report.sweep_figures import curve_of_numbers
 from app.report.sweep_results import QUANTITIES, Number, SweptCase, named, read
 from docs.paper import cases as paper
 from docs.paper.cases import READINGS, REFERENCE, STEMS, Cases, labels
@@ -281,7 +281,7 @@ def _lines(
     stars: Sequence[tuple[float, float]],
 ) -> list[Line]:
     """Percentiles with bars, light maxima, and the paper's values as stars."""
-    lines = [line_of(label, style, values)]
+    lines = [curve_of_numbers(label, style, values)]
     if peaks:
         most = [n.value for n in peaks.values()]
         lines.append(Line("", style, list(peaks), most, look="pale"))

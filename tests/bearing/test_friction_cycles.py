@@ -87,7 +87,7 @@ def test_friction_cycles_reports_the_share_facing_a_bore(tmp_path: Path) -> None
     uncovered = result.summary["interfaces"]["bearing"]["uncovered_fraction"]
     assert uncovered == pytest.approx(share / liner.sum(), rel=0.02) and uncovered > 0.05
     sentence = f"bearing: {100 * uncovered:.1f} % of the slave surface left the master at some time"
-    assert sentence in [*closing_lines.lines(result.summary)]
+    assert sentence in [*closing_lines.closing_tables(result.summary)]
 
 
 def test_friction_cycles_difference_of_the_last_two_cycles(ball: Results) -> None:
@@ -124,7 +124,7 @@ def test_friction_cycles_fields_follow_the_rotated_ball(ball: Results) -> None:
     assert "30 µm" not in page
     inner = x[np.linalg.norm(x, axis=1) > RADIUS - 1e-6]
     inner = inner[inner[:, 2] > 0][:99].reshape(-1, 3, 3)
-    flat = pictures.spread(np.concatenate([inner, inner * [-1, -1, 1]]))
+    flat = pictures.flattened_cup(np.concatenate([inner, inner * [-1, -1, 1]]))
     assert flat is not None
     arcs = RADIUS * np.arccos(inner[..., 2] / RADIUS)
     assert np.linalg.norm(flat[: len(inner)], axis=2) == pytest.approx(arcs, abs=1e-6)

@@ -16,8 +16,8 @@ from app.foundation.arrays import Floats, Ints
 from meshes.data import (
     MeshData,
     boundary_areas,
-    boundary_facets,
     interface_facets,
+    nodes_of_boundary_facets,
     region_volumes,
 )
 from tests.support import digest
@@ -55,7 +55,7 @@ def test_head_cup_bodies_are_separate_and_on_spheres(size: float, order: int) ->
     assert not len(interface_facets(data, "bearing")[0])
     sides = zip(CUP.faces["bearing"], (R, INNER), (head, liner), strict=True)
     for name, radius, body in sides:
-        on = boundary_facets(data, name)
+        on = nodes_of_boundary_facets(data, name)
         assert np.abs(away(data, on) - radius).max() < 1e-9
         assert np.isin(on, body).all()
     joint = interface_facets(data, "liner_shell")[0]
@@ -93,7 +93,7 @@ def test_head_cup_bearing_is_finer_on_the_cup(cup: MeshData) -> None:
     other = mesh(2.8, CUP.model_copy(update={"head_size": 0.8}))
     sides = ((cup, "liner_inner", 1.0), (cup, "head_surface", 1.15), (other, "head_surface", 0.8))
     for data, name, ratio in sides:  # edges of regular triangles of the mean area
-        area = boundary_areas(data)[name] / len(boundary_facets(data, name))
+        area = boundary_areas(data)[name] / len(nodes_of_boundary_facets(data, name))
         assert math.sqrt(4 * area / math.sqrt(3)) == pytest.approx(2.8 * ratio, rel=0.1)
 
 
@@ -104,10 +104,17 @@ def test_head_cup_inclination_and_version_rotate_the_mesh(cup: MeshData) -> None
     opening = [-math.sin(i) * math.cos(v), math.sin(v), -math.cos(i) * math.cos(v)]
     for data, axis in ((cup, opening), (upright, [0, 0, -1])):
         assert (
-            np.abs(data.points[np.unique(boundary_facets(data, "liner_rim"))] @ axis).max() < 1e-12
+            np.abs(data.points[np.unique(nodes_of_boundary_facets(data, "liner_rim"))] @ axis).max()
+            < 1e-12
         )
-        assert np.mean(data.points[np.unique(boundary_facets(data, "head_bore"))] @ axis) > 5.0
-        assert np.mean(data.points[np.unique(boundary_facets(data, "liner_inner"))] @ axis) < -5.0
+        assert (
+            np.mean(data.points[np.unique(nodes_of_boundary_facets(data, "head_bore"))] @ axis)
+            > 5.0
+        )
+        assert (
+            np.mean(data.points[np.unique(nodes_of_boundary_facets(data, "liner_inner"))] @ axis)
+            < -5.0
+        )
     assert region_volumes(upright) == pytest.approx(region_volumes(cup), rel=1e-12)
     assert digest(mesh(2.8)) == digest(cup)  # the same keys, the same mesh
 

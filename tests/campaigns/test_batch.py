@@ -14,7 +14,7 @@ import pytest
 import meshes
 from app.campaigns import batch, scheduler
 from app.campaigns.runs import Result, result_of, runs_of
-from app.case.case import PlannedRun, load
+from app.case.case import PlannedRun, load_case
 from app.case.geometries import MeshFile
 from app.foundation.errors import EnvironmentProblem, InputError
 from app.soundness import cost, memory
@@ -88,12 +88,12 @@ def test_batch_repeats_only_changed_runs(bench: Bench) -> None:
 
 def test_batch_repeats_runs_with_a_changed_mesh_file(bench: Bench) -> None:
     mesh = bench.folder / "box.msh"
-    case = load(bench.case).config
+    case = load_case(bench.case).config
     meshes.write_msh(meshes.build(case.geometry, case.mesh), mesh)
     text = re.sub(r"geometry:\n.*\n.*\n", "geometry: {kind: file, path: box.msh, SIDES}\n", CASE)
     bench.case.write_text(text.replace("SIDES", SIDES))
     first = bench.run(bench.job(1.0))
-    saved = load(next((bench.out / "cases").iterdir())).config
+    saved = load_case(next((bench.out / "cases").iterdir())).config
     assert isinstance(saved.geometry, MeshFile) and saved.geometry.path == mesh
     os.utime(mesh)
     assert bench.run(bench.job(1.0)) == first and len(bench.sizes()) == 1
@@ -110,8 +110,8 @@ def test_batch_repeats_runs_of_another_stack(
         return result_of(runs_of([job], bench.out, 1)[0], over=False).exit_code
 
     job = bench.job(1.0)
-    known = dict.fromkeys(identity.parts(), "1")
-    monkeypatch.setattr(identity, "parts", lambda: known)
+    known = dict.fromkeys(identity.versions(), "1")
+    monkeypatch.setattr(identity, "versions", lambda: known)
     folder = runs_of([job], bench.out, 1)[0].path
     folder.mkdir(parents=True)
     for name in ("summary.json", "DONE"):
@@ -133,7 +133,7 @@ def test_batch_jobs_share_cores_and_memory(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Two jobs run on two cores with 8 GB, with one thread each. Timed jobs run alone."""
-    monkeypatch.setattr(memory, "available", lambda environ: 8e9)
+    monkeypatch.setattr(memory, "available_memory", lambda environ: 8e9)
     monkeypatch.setattr(memory, "needed", lambda case: gigabytes * 1e9)
     bench.tell(seconds="0.2", meet="2" if together else "1")
     bench.run(*(bench.job(s, timed=timed) for s in (1.0, 2.0)))
@@ -240,7 +240,7 @@ def test_batch_names_and_values_are_never_commands(bench: Bench) -> None:
     results = bench.run(*jobs)
     assert [r.exit_code for r in results] == [0] * len(jobs), results
     for word, result in zip(WICKED, results, strict=True):
-        case = load(bench.out / "cases" / f"{result.folder.name}.yaml").config
+        case = load_case(bench.out / "cases" / f"{result.folder.name}.yaml").config
         assert case.title.split() == word.split()
     everything = [*bench.folder.rglob("*"), *bench.folder.parent.glob("*")]
     assert not [p for p in everything if p.name == "PWNED"]
@@ -254,9 +254,9 @@ def test_batch_run_killed_for_memory_names_its_need(
     The exit code is that of the environment, and fewer runs start at once.
     """
     stance = CONFIGS / "stance.yaml"
-    case = load(stance).config
+    case = load_case(stance).config
     need = cost.gigabytes(case)
-    monkeypatch.setattr(memory, "available", lambda: 2.4e9 * need)
+    monkeypatch.setattr(memory, "available_memory", lambda: 2.4e9 * need)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(9)))
     job = PlannedRun.load("stance", stance, ranks=3)
     (run,) = runs_of([job], tmp_path, 6)

@@ -19,7 +19,7 @@ from app.campaigns import batch, fit, fit_verdicts
 from app.campaigns.batch import Options
 from app.campaigns.runs import Result
 from app.case import fit as fit_file
-from app.case.case import PlannedRun, plain
+from app.case.case import PlannedRun, plain_data
 from app.cli import main
 from app.foundation.errors import (
     ConvergenceError,
@@ -86,7 +86,7 @@ def model(bench: Bench, noise: float, monkeypatch: pytest.MonkeyPatch) -> Bench:
         folder.mkdir(exist_ok=True)
         results = []
         for each in planned:
-            case = plain(each.case)
+            case = plain_data(each.case)
             modulus, _ = case["regions"]["lower"]["youngs_modulus"].split()
             law = case["interfaces"]["lower_upper"]
             numbers = means(law["friction_coefficient"], float(modulus) / 1e3, noise)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.campaigns.identifiability import identify, in_words
+from app.campaigns.identifiability import direction_in_words, identify
 
 
 def test_identifiability_of_independent_keys() -> None:
@@ -37,13 +37,13 @@ def test_identifiability_of_keys_of_which_only_the_sum_acts() -> None:
     assert np.isinf(known.uncertainties[:2]).all()
     assert known.uncertainties[2] == pytest.approx(1 / 30)
     assert np.isnan(known.correlation[0]).all() and known.correlation[2, 2] == pytest.approx(1)
-    assert in_words(direction, ["a", "b", "c"]) == "a against b"
+    assert direction_in_words(direction, ["a", "b", "c"]) == "a against b"
 
 
 def test_identifiability_with_fewer_numbers_than_keys() -> None:
     known = identify(np.array([[20.0, -20.0]]))
     (direction,) = known.undetermined()
-    assert in_words(direction, ["a", "b"]) == "a and b"
+    assert direction_in_words(direction, ["a", "b"]) == "a and b"
 
 
 @pytest.mark.parametrize(("influence", "weak"), [(3.4, True), (3.5, False)])

@@ -109,7 +109,7 @@ def test_study_errors_orders_front_and_advice(file: Path, caplog: pytest.LogCapt
     values = "{lower_upper.slip_p99: 39.6 um, lower_upper.pressure_p99: 5 MPa}"
     study.run(file, [f"study.reference={{values: {values}}}"], Options(out, 2))
     assert "error goes with not yet converging along P1, mesh.size^" in caplog.text
-    measured = Measured("a", quantities.find("stem.varus"), True, FAST, [], {}, [])
+    measured = Measured("a", quantities.quantity_or_fail("stem.varus"), True, FAST, [], {}, [])
     assert "reference is not yet converging; refine" in study._costs(0.02, "a", [], [measured])
 
 
@@ -250,7 +250,7 @@ def test_study_picture_labels_do_not_overlap() -> None:
     axes.plot(*zip(*at, strict=True), "o")
     notes = [axes.annotate("2.5 mm", xy, xytext=(5, 5), textcoords="offset points") for xy in at]
     figure.draw_without_rendering()
-    labels.place(axes)
+    labels.place_labels(axes)
     boxes = [note.get_window_extent() for note in notes if note.get_visible()]
     assert len(boxes) >= 4 and all(box.count_overlaps(boxes) == 1 for box in boxes)
     assert all(axes.bbox.count_contains(box.corners()) == 4 for box in boxes)
@@ -331,7 +331,7 @@ def test_study_quantities_are_found_in_a_summary() -> None:
 def test_study_known_values_have_units(
     quantity: str, unit: str, given: str | float, value: float
 ) -> None:
-    assert quantities.find(quantity).unit == unit
+    assert quantities.quantity_or_fail(quantity).unit == unit
     assert quantities.known_value(quantity, given) == pytest.approx(value, rel=1e-15)
 
 

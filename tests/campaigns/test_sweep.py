@@ -23,7 +23,7 @@ from app.campaigns import batch, sweep
 from app.campaigns.batch import Options
 from app.campaigns.runs import runs_of
 from app.case import sweep as sweep_file
-from app.case.case import PlannedRun, load, plain
+from app.case.case import PlannedRun, load_case, plain_data
 from app.cli import main
 from app.foundation.errors import ConvergenceError, StoppedError, worst_error
 from app.schema import yaml_file
@@ -49,13 +49,13 @@ def test_sweep_cases_share_processes_and_have_a_row_each(
     run(bench, *overrides)
     groups = sorted((bench.out / "cases").iterdir())
     assert len(groups) == 2 and all(g.name.startswith("shared-") for g in groups)
-    grouped = {v.name: v.case for g in groups for v in load(g).variations}
+    grouped = {v.name: v.case for g in groups for v in load_case(g).variations}
     with (bench.out / "sweep.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     cases = cases_of(bench.out)
     planned = {p.name: p.case for p in sweep_file.read(bench.sweep, overrides)[1]}
     for row in cases:
-        assert plain(grouped.pop(Path(row["folder"]).name)) == plain(planned[row["name"]])
+        assert plain_data(grouped.pop(Path(row["folder"]).name)) == plain_data(planned[row["name"]])
         assert row["overrides"]["regions.upper.poisson_ratio"] == 0.4
     assert not grouped and len(rows) == 8
     assert rows[2] == {
@@ -188,7 +188,7 @@ def test_sweep_dry_run_estimates_time_on_cores(
 ) -> None:
     """Eight cases of half a minute take two minutes on two cores, and some idle time."""
     caplog.set_level(logging.INFO, "mantle")
-    monkeypatch.setattr(cost, "seconds", lambda case, alone: 30.0)
+    monkeypatch.setattr(cost, "estimated_seconds", lambda case, alone: 30.0)
     sweep.run(bench.sweep, [f"ranks={ranks}"], Options(bench.out, 2, dry_run=True))
     printed = caplog.messages[0].splitlines()
     assert printed[-1].startswith("about 2 min for the remaining runs on 2 cores")

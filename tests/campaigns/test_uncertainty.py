@@ -33,7 +33,7 @@ def test_uncertainty_spread_and_cause_of_samples() -> None:
     # Spearman: 1 - 6 sum d^2 / (n (n^2 - 1)), d = 1, 3, -2, 0, -2.
     assert n["correlation"] == pytest.approx({"a": 1.0, "b": 1 - 6 * 18 / 120})
     assert spread["numbers"]["stem.retroversion"]["correlation"] == {}
-    printed = uncertainty.table({"p": spread})
+    printed = uncertainty.tables_of_spread({"p": spread})
     assert "a +1.00, b +0.10" in printed and "retroversion" not in printed
 
 
@@ -79,7 +79,7 @@ def test_uncertainty_sobol_indices_of_a_known_function() -> None:
         assert indices[key]["total"][0] == pytest.approx(total, abs=0.03)
         for value, low, high in indices[key].values():
             assert low < value < high
-    printed = uncertainty.table({"": spread})
+    printed = uncertainty.tables_of_spread({"": spread})
     assert "Sobol' indices of 1024 base samples" in printed
     assert [row[1] for row in uncertainty.index_rows(spread)] == ["x", "y", "z"]
 

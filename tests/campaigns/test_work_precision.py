@@ -90,10 +90,10 @@ def test_work_precision_pareto() -> None:
 
 def test_work_precision_best() -> None:
     costs, errors = [1.0, 2.0, 3.0, None, 4.0], [0.5, 0.02, 0.01, 0.001, None]
-    assert wp.best(costs, errors, 0.02) == 1
-    assert wp.best(costs, errors, 0.015) == 2
-    assert wp.best(costs, errors, 0.005) == 2
-    assert wp.best([None, 1.0], [0.1, None], 0.1) is None
+    assert wp.index_of_best(costs, errors, 0.02) == 1
+    assert wp.index_of_best(costs, errors, 0.015) == 2
+    assert wp.index_of_best(costs, errors, 0.005) == 2
+    assert wp.index_of_best([None, 1.0], [0.1, None], 0.1) is None
 
 
 def test_work_precision_effectivity() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from app.case.case import load
+from app.case.case import load_case
 from app.foundation.errors import InputError
 from tests.cases.blocks import BLOCKS
 
@@ -22,10 +22,10 @@ def write(folder: Path, **texts: str) -> Path:
 
 
 def loaded(folder: Path, text: str, *overrides: str, below: str = BLOCKS) -> Any:
-    return load(write(folder, blocks=below, case=text), overrides).config
+    return load_case(write(folder, blocks=below, case=text), overrides).config
 
 
 def messages(path: Path, *overrides: str) -> tuple[str, ...]:
     with pytest.raises(InputError) as caught:
-        load(path, overrides)
+        load_case(path, overrides)
     return tuple(m.replace(f"{path.parent}/", "") for m in caught.value.messages)

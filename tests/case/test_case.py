@@ -13,7 +13,7 @@ import mantle
 from app.campaigns.runs import runs_of
 from app.case import explanations, keys
 from app.case import sweep as sweep_file
-from app.case.case import PlannedRun, dump, load
+from app.case.case import PlannedRun, dump, load_case
 from app.case.femurs import Femur
 from app.foundation.errors import InputError
 from app.laws.creep import Creep
@@ -33,7 +33,7 @@ EVERY = [
 
 @pytest.mark.parametrize("path", EVERY, ids=lambda p: p.stem)
 def test_case_survives_dump_and_load(path: Path) -> None:
-    case = load(path).config
+    case = load_case(path).config
     text = dump(case)
     again = support.case(text)
     assert again == case.model_copy(update={"variations": {}})
@@ -48,7 +48,7 @@ def test_case_schema_for_editors_is_current() -> None:
 
 
 def test_case_stance_is_that_of_the_paper() -> None:
-    case = load(CONFIGS / "stance.yaml").config
+    case = load_case(CONFIGS / "stance.yaml").config
     assert isinstance(case.geometry, Femur)
     assert case.geometry.cement_thickness == 4.0
     hip = case.loads["hip"]
@@ -111,7 +111,7 @@ FRICTION = "interfaces.stem_cement.friction_coefficient=0.1"
     ],
 )  # fmt: skip
 def test_case_title_names_changes(overrides: list[str], changed: str | None) -> None:
-    title = load(STANCE, overrides).config.title
+    title = load_case(STANCE, overrides).config.title
     known = "Thin" if changed is None else TITLE
     assert title == (f"{known}; changed: {changed}" if changed else known)
 
@@ -119,7 +119,7 @@ def test_case_title_names_changes(overrides: list[str], changed: str | None) -> 
 def test_case_titles_of_variations_and_sweeps_differ(tmp_path: Path) -> None:
     text = STANCE.read_text() + "\nvariations: {rough: {interfaces.*.friction_coefficient: 1.5}}\n"
     (tmp_path / "stance.yaml").write_text(text)
-    (rough,) = load(tmp_path / "stance.yaml").variations
+    (rough,) = load_case(tmp_path / "stance.yaml").variations
     assert rough.case.title == (
         f"{TITLE}; changed: stem_cement.friction_coefficient 1.5, "
         "cement_bone.friction_coefficient 1.5"

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
-from app.case.case import load
+from app.case.case import load_case
 from app.foundation.errors import InputError
 from app.schema.units import Axis
 from tests.support import CONFIGS
@@ -41,13 +41,13 @@ def test_case_any_input_file_is_read_or_refused(
     raw = content.encode("utf-8", "surrogatepass") if isinstance(content, str) else content
     path.write_bytes(raw)
     with pytest.raises(InputError) as caught:
-        load(path)
+        load_case(path)
     assert all(line.startswith(str(path)) for line in caught.value.messages)
 
 
 @given(st.text(max_size=40))
 def test_case_any_input_override_is_applied_or_refused(text: str) -> None:
     try:
-        load(CONFIGS / "blocks.yaml", [text])
+        load_case(CONFIGS / "blocks.yaml", [text])
     except InputError as error:
         assert all(line.startswith("--set ") for line in error.messages)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from app.case.case import load
+from app.case.case import load_case
 from app.case.femurs import Femur
 from app.foundation.errors import InputError
 from app.laws.fibres import Straight
@@ -212,7 +212,7 @@ def test_case_heat_conductors_alone_have_no_mechanics() -> None:
 
 
 def test_case_heat_hot_case_is_that_of_the_paper() -> None:
-    case = load(support.CONFIGS / "thermal_100C.yaml").config
+    case = load_case(support.CONFIGS / "thermal_100C.yaml").config
     assert isinstance(case.geometry, Femur)
     assert case.geometry.cement_thickness == 4.0
     initial = {n: r.thermal.initial_temperature - 273.15 for n, r in case.regions.items()}  # type: ignore[union-attr]
@@ -223,7 +223,7 @@ def test_case_heat_hot_case_is_that_of_the_paper() -> None:
     assert {c.law.friction for c in scene.contacts} == {1.0}
     assert [c.law.conductances[0] for c in scene.thermal_contacts] == [0.3, 0.3]
     assert scene.time is not None
-    modulus = load(support.CONFIGS / "stance_cocr.yaml").config.regions["stem"]
+    modulus = load_case(support.CONFIGS / "stance_cocr.yaml").config.regions["stem"]
     cold = {"thermal": None, "status": modulus.status, "source": modulus.source}
     assert case.regions["stem"].model_copy(update=cold) == modulus
 
@@ -231,7 +231,7 @@ def test_case_heat_hot_case_is_that_of_the_paper() -> None:
 def test_case_heat_cure_cases_have_equal_materials() -> None:
     """The materials equal the reference values of verification: an adiabatic rise of 89.0805 K."""
     cure, residual, hot = (
-        build_scene(load(support.CONFIGS / f"{n}.yaml").config)
+        build_scene(load_case(support.CONFIGS / f"{n}.yaml").config)
         for n in ("cure", "residual", "thermal_100C")
     )
     for scene in (cure, residual):
@@ -246,7 +246,9 @@ def test_case_heat_cure_cases_have_equal_materials() -> None:
 
 
 def test_case_heat_residual_ends_in_the_stance() -> None:
-    residual, stance = (load(support.CONFIGS / f"{n}.yaml").config for n in ("residual", "stance"))
+    residual, stance = (
+        load_case(support.CONFIGS / f"{n}.yaml").config for n in ("residual", "stance")
+    )
     assert residual.loads.keys() == stance.loads.keys()
     for name, acting in residual.loads.items():
         assert acting.history == (0, 0, 1)

@@ -116,7 +116,7 @@ def test_explanations_of_the_end_of_a_path_is_that_of_the_path() -> None:
 
 
 def test_explanations_of_every_key_has_value_or_kinds() -> None:
-    for section in keys.sections():
+    for section in keys.key_sections():
         for key in section.keys:
             text = explanations.explained(key.path)
             expected = "{kind: " if key.name == "kind" else "  value "

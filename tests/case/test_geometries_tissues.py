@@ -11,7 +11,7 @@ from mpi4py import MPI
 import pytest
 
 import meshes
-from app.case.case import dump, load, plain
+from app.case.case import dump, load_case, plain_data
 from app.foundation.errors import InputError
 from app.heat.heat_forms import HeatForms
 from app.report.sweep_results import SweptCase
@@ -45,7 +45,7 @@ loads: {press: {kind: pressure, boundary: top, pressure: 1 MPa}}
 )
 def test_geometries_tissues_of_shipped_geometries(name: str, bones: list[str]) -> None:
     """A key of the case replaces the tissue. Blocks are neither bone nor implant by default."""
-    case = load(CONFIGS / f"{name}.yaml", [f"regions.{bones[0]}.tissue=other"]).config
+    case = load_case(CONFIGS / f"{name}.yaml", [f"regions.{bones[0]}.tissue=other"]).config
     tissues = dict.fromkeys(bones, "bone") | {"stem": "implant", "cement": "cement"}
     assert {n: r.tissue for n, r in case.regions.items()} == tissues | {bones[0]: "other"}
     stack = support.case(STACK.replace(", tissue: bone", ""))
@@ -61,7 +61,7 @@ def test_geometries_tissues_of_a_mesh_file_are_required(tmp_path: Path) -> None:
     text = f"geometry: {{kind: file, path: a.msh, {sides}}}\n" + STACK[STACK.index("mesh:") :]
     path.write_text(text.replace(", tissue: bone}", "}").replace("implant", "implnt"))
     with pytest.raises(InputError) as caught:
-        load(path)
+        load_case(path)
     assert caught.value.messages == [
         f"{path}:4:3: regions.cortex: 'tissue' is missing; expected bone, cement, implant or other",
         f"{path}:6:53: regions.nail.tissue: 'implnt' is not one of bone, cement, implant, other; "
@@ -80,21 +80,21 @@ def test_geometries_tissues_come_from_library_materials(tmp_path: Path) -> None:
     sides = "{one: [cortex, bone_cement], two: [bone_cement, nail]}"
     file = f"{{kind: file, path: a.msh, interfaces: {sides}}}"
     path.write_text(f"geometry: {file}\noutput: {{error: true}}\n{text}")
-    case = load(path).config
+    case = load_case(path).config
     assert {n: r.tissue for n, r in case.regions.items()} == {
         "cortex": "other",
         "bone_cement": "cement",
         "nail": "implant",
     }
-    assert load(path, ["regions.cortex.material=cancellous_bone"]).config.of_tissue("other")
+    assert load_case(path, ["regions.cortex.material=cancellous_bone"]).config.of_tissue("other")
     changed = ["regions.nail.material=cortical_bone", "regions.cortex.tissue=null"]
     changed += ["regions.cortex.material=cancellous_bone"]
-    assert load(path, changed).config.of_tissue("bone") == ("cortex", "nail")
+    assert load_case(path, changed).config.of_tissue("bone") == ("cortex", "nail")
     friction = "interfaces.one={kind: contact, friction_coefficient: 0.3}"
-    (companion,) = companions(load(path, [friction]).config)
+    (companion,) = companions(load_case(path, [friction]).config)
     assert str(companion).startswith("mesh of the file")
     path.write_text(dump(case))
-    assert load(path).config == case and "size" not in plain(case)["mesh"]
+    assert load_case(path).config == case and "size" not in plain_data(case)["mesh"]
     assert len(meshes.build(case.geometry, case.mesh).cells) > 100
 
 
@@ -106,7 +106,7 @@ def test_geometries_tissues_mesh_size_is_required(name: str, mesh: str, tmp_path
     path = tmp_path / "case.yaml"
     path.write_text(text.replace("sliding_block.geo", str(CONFIGS / "sliding_block.geo")))
     with pytest.raises(InputError) as caught:
-        load(path)
+        load_case(path)
     (message,) = caught.value.messages
     assert message.endswith(
         "mesh: 'size' is missing; expected the edge length at the interfaces, e.g. 4 mm"

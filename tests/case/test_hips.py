@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from app.case.case import load
+from app.case.case import load_case
 from app.foundation.errors import InputError
 from tests.support import CONFIGS
 
@@ -21,17 +21,17 @@ LAW = ("interfaces.stem_bone={kind: contact, friction_coefficient: 0.5}",)
 def refused(*overrides: str, path: Path = STANCE) -> list[str]:
     """Lines of the message with which a case is refused."""
     with pytest.raises(InputError) as error:
-        load(path, overrides)
+        load_case(path, overrides)
     return str(error.value).splitlines()
 
 
 def test_hips_without_cement_have_one_interface_and_a_void() -> None:
-    geometry = load(STANCE, (*NO_CEMENT, *NO_LAWS, *LAW)).config.geometry
+    geometry = load_case(STANCE, (*NO_CEMENT, *NO_LAWS, *LAW)).config.geometry
     assert geometry.region_names == ("stem", "cortical_bone", "cancellous_bone")
     assert list(geometry.interface_sides) == ["stem_bone"]
     assert geometry.mantles == ()
     assert geometry.implant.tip_void == 5.0
-    assert load(STANCE).config.geometry.implant.tip_void == 0.0
+    assert load_case(STANCE).config.geometry.implant.tip_void == 0.0
 
 
 def test_hips_without_cement_say_in_one_line_what_a_base_lacks() -> None:
@@ -45,13 +45,13 @@ def test_hips_without_cement_name_the_options_that_a_base_needs() -> None:
     command = line.partition("on the command line, add `")[2].removesuffix("`")
     words = shlex.split(command)
     assert words[::2] == ["--set"] * 4
-    load(STANCE, ("geometry.cement_thickness=0 mm", *words[1::2]))
+    load_case(STANCE, ("geometry.cement_thickness=0 mm", *words[1::2]))
 
 
 def test_hips_without_cement_need_a_law() -> None:
     (line,) = refused(*NO_CEMENT, *NO_LAWS)
     assert "no law for stem_bone" in line
-    assert load(STANCE, (*NO_CEMENT, *NO_LAWS, "interfaces.stem_bone={kind: bonded}")).config
+    assert load_case(STANCE, (*NO_CEMENT, *NO_LAWS, "interfaces.stem_bone={kind: bonded}")).config
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,9 @@ def test_hips_without_cement_refuse_cells_through_it() -> None:
 
 
 def test_hips_heights_on_the_stem_begin_at_its_tip() -> None:
-    geometry = load(STANCE, (*NO_CEMENT, *NO_LAWS, *LAW, "geometry.tip_void=0 mm")).config.geometry
+    geometry = load_case(
+        STANCE, (*NO_CEMENT, *NO_LAWS, *LAW, "geometry.tip_void=0 mm")
+    ).config.geometry
     tip = geometry.placement.to_model([[0.0, 0.0, geometry.implant.tip_z]])
     shoulder = geometry.placement.to_model([[0.0, 0.0, geometry.implant.shoulder]])
     assert geometry.height_on_stem(tip)[0] == pytest.approx(0.0)
@@ -89,7 +91,7 @@ def test_hips_refuse_zones_that_cover_nothing_of_the_stem(zone: str, is_refused:
         (line,) = refused(option, path=CONFIGS / "pressed.yaml")
         assert "zones.coated: covers nothing of the stem; expected heights from 0 to 147 mm" in line
     else:
-        load(CONFIGS / "pressed.yaml", (option,))
+        load_case(CONFIGS / "pressed.yaml", (option,))
 
 
 @pytest.mark.parametrize(
@@ -119,7 +121,7 @@ def test_hips_refuse_heights_off_the_stem(key: str, value: str, text: str) -> No
     expected = f"{text} the stem; expected heights from 0 to 147 mm above its tip"
     assert any(re.search(expected, message) for message in messages)
     fitting = "interfaces.stem_bone.interference=[[0 mm, 0 mm], [147 mm, 0.02 mm]]"
-    load(CONFIGS / "pressed.yaml", (fitting,))
+    load_case(CONFIGS / "pressed.yaml", (fitting,))
 
 
 def test_hips_refuse_a_zone_with_the_name_of_a_part() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from app.case.case import dump, load
+from app.case.case import dump, load_case
 from app.case.femurs import Femur
 from app.case.geometries import MeshOptions
 from app.case.hips import OperatedHip
@@ -187,7 +187,7 @@ def test_hips_keys_without_effect_are_noted_where_they_are_given() -> None:
         "regions.cement=null",
         "interfaces={stem_bone: {kind: contact, friction_coefficient: 0.5, gap_history: [1]}}",
     )
-    case = load(support.CONFIGS / "stance.yaml", given).config
+    case = load_case(support.CONFIGS / "stance.yaml", given).config
     notes = {n.where: str(n) for n in preview.input_notes(case)}
     expected = {"geometry.stem.tip_rounding", "mesh.far_size", "interfaces.stem_bone.gap_history"}
     assert {where for where, text in notes.items() if "has no effect" in text} == expected
@@ -195,8 +195,8 @@ def test_hips_keys_without_effect_are_noted_where_they_are_given() -> None:
 
 
 def test_hips_keys_without_effect_are_not_noted_in_a_case_that_mantle_wrote(tmp_path: Path) -> None:
-    (tmp_path / "case.yaml").write_text(dump(load(support.CONFIGS / "pressed.yaml").config))
-    notes = preview.input_notes(load(tmp_path / "case.yaml").config)
+    (tmp_path / "case.yaml").write_text(dump(load_case(support.CONFIGS / "pressed.yaml").config))
+    notes = preview.input_notes(load_case(tmp_path / "case.yaml").config)
     assert not [n.where for n in notes if "has no effect" in str(n)]
 
 

@@ -12,7 +12,7 @@ import pytest
 
 import mantle
 from app.case import library, overlay
-from app.case.case import dump, load
+from app.case.case import dump, load_case
 from app.foundation.errors import InputError
 from app.laws.cycle_tables import CycleTable
 from tests import support
@@ -52,7 +52,7 @@ def test_library_entries_have_sources_and_are_valid(tmp_path: Path) -> None:
         force = BLOCKS.replace("[3 N, 0 N, -4 N]", f'"[0, 0, -1] N", cycle_table: {name}')
         table = loaded(tmp_path, force).loads["push"].cycle_table
         assert (table.status, table.source) == (entry["status"], entry["source"])
-    stance = load(CONFIGS / "stance.yaml").config
+    stance = load_case(CONFIGS / "stance.yaml").config
     for name, entry in shipped["loads"].items():
         assert len(entry["source"]) > 20 and entry["about"]
         case: Any = loaded(tmp_path, f"base: stance\nloads: {{library: {name}}}\n")
@@ -78,14 +78,16 @@ loads: {push: {status: measured, source: a scale, history: [0.5]}}
     assert upper.status == "assumed" and upper.source.startswith("Young's modulus: Rakoto")
     assert (lower.status, lower.source, push.status) == (None, None, "measured")
     again = write(tmp_path, case=dump(case))
-    assert load(again).config == case
-    changed: Any = load(again, ["regions.upper.youngs_modulus=2 GPa", "loads.push.force[0]=2 N"])
+    assert load_case(again).config == case
+    changed: Any = load_case(
+        again, ["regions.upper.youngs_modulus=2 GPa", "loads.push.force[0]=2 N"]
+    )
     for part in (changed.config.regions["upper"], changed.config.loads["push"]):
         assert (part.status, part.source) == (None, None)
-    kept = load(again, ["loads.push.history=[0.7]", "regions.upper.tissue=cement"]).config
+    kept = load_case(again, ["loads.push.history=[0.7]", "regions.upper.tissue=cement"]).config
     assert (kept.loads["push"].status, kept.regions["upper"].status) == ("measured", "assumed")
     above = "base: case.yaml\nregions: {upper: {poisson_ratio: 0.4}}\n"
-    region = load(write(tmp_path, above=above)).config.regions["upper"]
+    region = load_case(write(tmp_path, above=above)).config.regions["upper"]
     assert (region.poisson_ratio, region.status) == (0.4, None)
 
 
@@ -110,7 +112,7 @@ loads:
   extra: {kind: pressure, boundary: head, pressure: 1 MPa}
 """
     path = write(tmp_path, case=text.replace("boundary: head", "boundary: resection"))
-    case: Any = load(path).config
+    case: Any = load_case(path).config
     stem = case.regions["stem"]
     assert (stem.youngs_modulus, stem.poisson_ratio, stem.thermal) == (193e3, 0.31, None)
     assert math.hypot(*case.loads["hip"].force) == pytest.approx(2000.0, rel=1e-12)
@@ -128,9 +130,9 @@ def test_library_material_replaces_only_constants(tmp_path: Path) -> None:
     assert (bone.kind, bone.thermal.initial_temperature) == ("transversely_isotropic", 333.15)
     cure = loaded(tmp_path, "base: cure\nregions: {cement: {material: PMMA}}\n")
     assert support.without_origin(cure) == support.without_origin(
-        load(CONFIGS / "cure.yaml").config
+        load_case(CONFIGS / "cure.yaml").config
     )
-    hot = load(CONFIGS / "thermal_100C.yaml").config
+    hot = load_case(CONFIGS / "thermal_100C.yaml").config
     names = "stem: {material: CoCrMo}, cement: {material: PMMA}"
     bones = "cortical_bone: {material: cortical_bone}, cancellous_bone: {material: cancellous_bone}"
     named = loaded(tmp_path, f"base: thermal_100C\nregions: {{{names}, {bones}}}\n")
@@ -236,7 +238,7 @@ def test_library_history_of_all_loads(tmp_path: Path) -> None:
     case.write_text(f"base: stance\nloads:\n  history: [0, 1]\n{stages}")
     option = "loads={library: one_leg_stance, history: [0, 1]}"
     with pytest.raises(InputError, match=r"--set loads: loads.history: has 2 values"):
-        load(CONFIGS / "stance.yaml", [option])
+        load_case(CONFIGS / "stance.yaml", [option])
     with pytest.raises(InputError, match=r"two.yaml:3:3: .*history: has 2 values; expected 3"):
         mantle.load(case)
 

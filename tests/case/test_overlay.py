@@ -15,7 +15,7 @@ from pydantic import TypeAdapter
 import mantle
 from app.case import library, overlay
 from app.case import sweep as sweep_file
-from app.case.case import dump, load
+from app.case.case import dump, load_case
 from app.case.run_options import Stage
 from app.schema import yaml_file
 from app.schema.paths import File
@@ -51,7 +51,7 @@ loads:
 
 def test_overlay_shipped_cases_are_bases_by_name(tmp_path: Path) -> None:
     case = loaded(tmp_path, "base: stance\nregions: {stem: {material: CoCrMo}}\ntitle: x\n")
-    other = load(CONFIGS / "stance_cocr.yaml").config
+    other = load_case(CONFIGS / "stance_cocr.yaml").config
     assert case == other.model_copy(update={"title": "x"})
 
 
@@ -65,7 +65,7 @@ def test_overlay_paths_are_relative_to_their_file(
     write(tmp_path / "middle", middle="base: ../deep/patch.yaml\ntitle: middle\nmesh: {order: 1}\n")
     path = write(tmp_path, top="base: middle/middle.yaml\ntitle: top\n")
     monkeypatch.setenv("MANTLE_ALLOW_SCRIPTS", "1")
-    case: Any = load(path).config
+    case: Any = load_case(path).config
     assert (case.title, case.mesh.order) == ("top", 1)
     assert case.geometry.path == (deep / "patch.geo").resolve()
 
@@ -189,7 +189,7 @@ def test_overlay_base_in_sweeps_and_variations(tmp_path: Path) -> None:
     _, planned = sweep_file.read(sweep)
     assert [p.case.loads["push"].force for p in planned] == [(0.6, 0, -0.8), (6, 0, -8)]  # type: ignore[union-attr]
     assert {p.case.mesh.size for p in planned} == {2.0}
-    variations = load(tmp_path / "case.yaml").variations
+    variations = load_case(tmp_path / "case.yaml").variations
     assert [v.case.loads["push"].force for v in variations] == [(3, 0, -4), (6, 0, -8)]  # type: ignore[union-attr]
     by_name = write(tmp_path, named="base: blocks\ngrid: {mesh.size: [2 mm, 5 mm]}\n")
     assert [p.case.title[:14] for p in sweep_file.read(by_name)[1]] == ["Patch test of "] * 2
@@ -198,7 +198,7 @@ def test_overlay_base_in_sweeps_and_variations(tmp_path: Path) -> None:
 def test_overlay_resolved_case_is_complete(tmp_path: Path) -> None:
     path = write(tmp_path, blocks=BLOCKS, case="base: blocks.yaml\nregions: {upper: "
                  "{material: 316L}}\nloads: {push: {force: 10 N}}\n")  # fmt: skip
-    case = load(path)
+    case = load_case(path)
     text = dump(case.config)
     assert not any(word in text for word in ("base: b", "material", "library"))
     assert loaded(tmp_path / "other", text) == case.config

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from app.case import points
 from app.case import study as study_file
 from app.case import sweep as sweep_file
-from app.case.case import load
+from app.case.case import load_case
 from app.case.points import Point
 from app.foundation.errors import InputError
 from app.schema import yaml_file
@@ -268,7 +268,7 @@ def test_points_refuse_misplaced_sections(path: Path) -> None:
     section, grid = STUDY[STUDY.index("study:") :], f"variations: {{grid: {{{FRICTION}: [1]}}}}\n"
     path.write_text(CASE + section + grid)
     with pytest.raises(InputError) as error:
-        load(path)
+        load_case(path)
     messages = error.value.messages
     assert messages[0].startswith(f"{path}:14:1: study: a case has no section study")
     assert messages[1].startswith(f"{path}:21:14: variations.grid: a grid stands in a sweep file")

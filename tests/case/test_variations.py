@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.case.case import Case, dump, load
+from app.case.case import Case, dump, load_case
 from app.foundation.errors import InputError
 from tests import support
 from tests.cases import coupled
@@ -39,13 +39,13 @@ def written(tmp_path: Path, text: str) -> Path:
 def test_variations_star_is_every_name(tmp_path: Path) -> None:
     """The star stands for all names of the file, so all loads grow together."""
     section = "variations: {twice: {'loads.*.history': [2, 2]}}\n"
-    (twice,) = load(written(tmp_path, STEM + section)).variations
+    (twice,) = load_case(written(tmp_path, STEM + section)).variations
     assert [load.history for load in twice.case.loads.values()] == [(2, 2), (2, 2)]
     assert twice.overrides == ("loads.down.history=[2, 2]", "loads.aside.history=[2, 2]")
     bad = "variations: {a: {interfaces.*.friction_coefficient: -1}}\n"
     path = written(tmp_path, STEM + bad)
     with pytest.raises(InputError) as caught:
-        load(path)
+        load_case(path)
     start = f"{path}:28:18: variations.a.interfaces.*.friction_coefficient: -1 must"
     assert [m.startswith(start) for m in caught.value.messages] == [True]
 
@@ -53,10 +53,10 @@ def test_variations_star_is_every_name(tmp_path: Path) -> None:
 def test_variations_equal_cases_with_set(tmp_path: Path) -> None:
     """Overrides of a variation act like options of the case without variations."""
     path = written(tmp_path, STEM + SECTION)
-    variations = load(path, ["title=mine"]).variations
+    variations = load_case(path, ["title=mine"]).variations
     assert [v.name for v in variations][:3] == ["as_is", "fit", "mu2_900"] and len(variations) == 8
     for v in variations:
-        alone = load(path, ["title=mine", "variations={}", *v.overrides]).config
+        alone = load_case(path, ["title=mine", "variations={}", *v.overrides]).config
         assert v.case == alone and v.case.title == "mine"
         assert "variations" not in dump(v.case)
     assert variations[1].case.interfaces["stem_cement"].gap == -0.002  # type: ignore[union-attr]
@@ -68,7 +68,7 @@ def test_variations_refuse_set_of_their_keys(tmp_path: Path) -> None:
     path = written(tmp_path, STEM + SECTION)
     option = "interfaces.stem_cement={kind: contact, friction_coefficient: 0.5}"
     with pytest.raises(InputError) as caught:
-        load(path, [option])
+        load_case(path, [option])
     places = ["fit.interfaces.stem_cement.gap"]
     places += [f"mu{m}_{f}.{MU}" for m in "24" for f in (900, 1200, 600)]
     for message, place in zip(caught.value.messages, places, strict=True):
@@ -76,7 +76,7 @@ def test_variations_refuse_set_of_their_keys(tmp_path: Path) -> None:
             f" variations.{place}: varies, but --set interfaces.stem_cement fixes it for every case"
         )
         assert refusal in message
-    assert load(path, [option, "variations={}"]).config
+    assert load_case(path, [option, "variations={}"]).config
 
 
 # Each: the section, and the expected message, with line and column below `variations`.
@@ -104,7 +104,7 @@ def test_variations_refuse_keys_of_mesh_and_stiffness(what: str, tmp_path: Path)
     start = STEM.count("\n")
     path = written(tmp_path, STEM + "variations:\n" + section + "\n")
     with pytest.raises(InputError) as caught:
-        load(path)
+        load_case(path)
     (message,) = caught.value.messages[:1]
     if expected[0].isdigit():
         line, _, rest = expected.partition(":")

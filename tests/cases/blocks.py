@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.foundation.arrays import Floats
-from meshes.data import MeshData, assemble, exterior_facets
+from meshes.data import MeshData, exterior_facets, mesh_data_of
 from meshes.distribute import TaggedMesh, distribute
 from tests import support
 
@@ -110,7 +110,7 @@ def bar(layers: int) -> TaggedMesh:
     cells = (np.arange(layers)[:, None, None] + paths).reshape(-1, 4)
     facets, _ = exterior_facets(cells)
     ends = {k: (points[facets, 2] == z).all(axis=1) for k, z in (("bottom", 0), ("top", 10))}
-    data = assemble(points, cells, np.ones(6 * layers), {"bar": 1}, {}, ends, facets)
+    data = mesh_data_of(points, cells, np.ones(6 * layers), {"bar": 1}, {}, ends, facets)
     return distribute(data, MPI.COMM_WORLD)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from app.case.case import load
+from app.case.case import load_case
 from app.simulation import checkpoint
 from app.simulation.session import run
 from app.system.folders import saved
@@ -109,7 +109,7 @@ def whole(text: str, folder: Path, *overrides: str) -> tuple[Path, list[Path]]:
     (folder / "whole").mkdir()
     kept, checkpoint.KEPT = checkpoint.KEPT, 10**6
     try:
-        run(load(path, options), folder / "whole")
+        run(load_case(path, options), folder / "whole")
     finally:
         checkpoint.KEPT = kept
     return path, sorted(saved(folder / "whole"), key=lambda p: int(p.stem.split("-")[1]))
@@ -119,5 +119,5 @@ def on(path: Path, folder: Path, file: Path, *overrides: str) -> Path:
     """Continue from a checkpoint in a separate folder."""
     output = folder / f"from-{file.stem}"
     output.mkdir(exist_ok=True)
-    run(load(path, overrides), output, restart=str(file))
+    run(load_case(path, overrides), output, restart=str(file))
     return output

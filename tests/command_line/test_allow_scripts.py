@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import meshes
-from app.case.case import load
+from app.case.case import load_case
 from app.case.gmsh_header import ALLOWED
 from app.cli import main
 from app.foundation.errors import GeometryError, InputError
@@ -59,14 +59,14 @@ def test_allow_scripts_runs_a_trusted_script(tmp_path: Path) -> None:
 def test_allow_scripts_always_runs_shipped_scripts(tmp_path: Path) -> None:
     """Shipped scripts are known by their place. A link to another script is refused."""
     case = CONFIGS / "verification" / "cook.yaml"
-    assert load(case).config.geometry.region_names
+    assert load_case(case).config.geometry.region_names
     script(tmp_path, LAYERS)
     copy = tmp_path / "configs" / "verification"
     copy.mkdir(parents=True)
     for name in ("cook.yaml", "cook.geo"):
         shutil.copy(case.with_name(name), copy)
     with pytest.raises(InputError, match="--allow-scripts"):
-        load(copy / "cook.yaml")
+        load_case(copy / "cook.yaml")
 
 
 def test_allow_scripts_ignores_options_next_to_a_mesh(
@@ -76,7 +76,7 @@ def test_allow_scripts_ignores_options_next_to_a_mesh(
     monkeypatch.setenv(ALLOWED, "1")
     script(tmp_path, LAYERS)
     (tmp_path / "a.geo.opt").write_text('Error("the options were run");')
-    case = load(tmp_path / "case.yaml").config
+    case = load_case(tmp_path / "case.yaml").config
     assert len(meshes.build(case.geometry, case.mesh).cells)
 
 
@@ -85,6 +85,6 @@ def test_allow_scripts_refuses_too_fine_a_mesh(
 ) -> None:
     monkeypatch.setenv(ALLOWED, "1")
     script(tmp_path, LAYERS)
-    case = load(tmp_path / "case.yaml", ["mesh.size=1 nm"]).config
+    case = load_case(tmp_path / "case.yaml", ["mesh.size=1 nm"]).config
     with pytest.raises(GeometryError, match=r"mesh\.size: 1e-06 mm: .* 5e\+06 cells long"):
         meshes.build(case.geometry, case.mesh, None)

@@ -14,7 +14,7 @@ from ruamel.yaml import YAML
 
 import mantle
 from app.case import sweep as sweep_file
-from app.case.case import load
+from app.case.case import load_case
 from app.cli import main
 from app.foundation import files
 from app.foundation.errors import InputError
@@ -38,7 +38,7 @@ def path(tmp_path: Path) -> Path:
 
 def complaints(path: Path, *overrides: str) -> list[str]:
     with pytest.raises(InputError) as caught:
-        load(path, overrides)
+        load_case(path, overrides)
     return [m.removeprefix(f"{path}:") for m in caught.value.messages]
 
 
@@ -233,12 +233,12 @@ def test_bad_input_path_that_the_system_refuses(
 
 def test_bad_input_explains_only_paths_of_the_user() -> None:
     locked = PermissionError(errno.EACCES, "Permission denied", "locked/case.yaml")
-    error = files.explain(locked)
+    error = files.error_of_refused_path(locked)
     assert error is not None and error.exit_code == 2
     assert str(error) == "locked/case.yaml: cannot be opened: permission denied; give another path"
-    assert files.explain(FileNotFoundError(errno.ENOENT, "No such file", "a")) is None
-    assert files.explain(OSError(errno.EACCES, "Permission denied")) is None
-    assert files.explain(ValueError("a")) is None
+    assert files.error_of_refused_path(FileNotFoundError(errno.ENOENT, "No such file", "a")) is None
+    assert files.error_of_refused_path(OSError(errno.EACCES, "Permission denied")) is None
+    assert files.error_of_refused_path(ValueError("a")) is None
 
 
 def test_bad_input_run_folder(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -377,7 +377,7 @@ def test_bad_input_in_a_base_names_the_key_of_the_file(name: str, path: Path) ->
     text, fault, place = OVER_BASE[name]
     path.write_text(text)
     with pytest.raises(InputError) as caught:
-        load(path)
+        load_case(path)
     pattern = rf"configs/\w+\.yaml:\d+:\d+: {fault}.*; does .* \({path}:{place}\)"
     assert any(re.search(pattern, message) for message in caught.value.messages)
 
@@ -388,7 +388,7 @@ def test_bad_input_key_of_the_section_above_is_said_to_belong_there(path: Path) 
     assert complaints(path) == [f"2:19: {expected}"]
     path.write_text("base: pressed\n")
     with pytest.raises(InputError, match=expected):
-        load(path, ["geometry.stem.tip_void=5 mm"])
+        load_case(path, ["geometry.stem.tip_void=5 mm"])
 
 
 def test_bad_input_width_in_another_unit_is_shown_in_mm(path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import mantle
-from app.case.case import load
+from app.case.case import load_case
 from app.cli import main
 from app.foundation.errors import InputError
 from app.soundness import preview
@@ -152,8 +152,8 @@ def test_check_estimates_temperature_unknowns(capsys: pytest.CaptureFixture[str]
 )
 def test_check_notes_implausible_materials(change: str) -> None:
     cure = CONFIGS / "cure.yaml"
-    assert preview.input_notes(load(cure).config) == []
-    (note,) = preview.input_notes(load(cure, [change]).config)
+    assert preview.input_notes(load_case(cure).config) == []
+    (note,) = preview.input_notes(load_case(cure, [change]).config)
     assert note.text.startswith(f"{change.partition('=')[0]} is ")
     assert note.text.endswith("; is the unit wrong?")
 
@@ -202,10 +202,12 @@ BONE = (
 )
 def test_check_notes_locking(region: str, locks: bool) -> None:
     changes = [f"regions.cement={region}", "interfaces={}"]
-    notes = [v.text for v in preview.input_notes(load(CONFIGS / "blocks.yaml", changes).config)]
+    notes = [
+        v.text for v in preview.input_notes(load_case(CONFIGS / "blocks.yaml", changes).config)
+    ]
     assert [m.split(" is ")[0] for m in notes] == (["regions.cement"] if locks else [])
     assert all("lock" in m and "mesh.order: 2" in m for m in notes)
-    second = load(CONFIGS / "blocks.yaml", [*changes, "mesh.order=2"]).config
+    second = load_case(CONFIGS / "blocks.yaml", [*changes, "mesh.order=2"]).config
     assert preview.input_notes(second) == []
 
 
@@ -216,7 +218,7 @@ def test_check_accepts_a_press_fit_by_penalty() -> None:
         "supports.push={kind: roller, boundary: stem_top, axis: z}",
     ]
     for value, noted in (("0 mm", True), ("-0.01 mm", False), ("-0.01 * z", False)):
-        case = load(CONFIGS / "cylinders.yaml", [*still, f"{gap}{value}}}"]).config
+        case = load_case(CONFIGS / "cylinders.yaml", [*still, f"{gap}{value}}}"]).config
         assert any("nothing acts" in note.text for note in preview.input_notes(case)) == noted
 
 
@@ -230,7 +232,7 @@ def test_check_finds_that_a_press_fit_alone_acts_on_the_model(press_fit: str) ->
         "supports.push={kind: roller, boundary: stem_top, axis: z}",
         f"interfaces.stem_cement={law}",
     ]
-    case = load(CONFIGS / "cylinders.yaml", changes).config
+    case = load_case(CONFIGS / "cylinders.yaml", changes).config
     assert not any("nothing acts" in note.text for note in preview.input_notes(case))
 
 

@@ -14,7 +14,7 @@ import pytest
 import mantle
 import meshes
 from app.case import new_case
-from app.case.case import load
+from app.case.case import load_case
 from app.cli import main
 from app.foundation.errors import GeometryError, InputError
 from app.foundation.verdict import Severity, recorded
@@ -82,8 +82,8 @@ def test_init_femur_stands_on_one_leg(tmp_path: Path) -> None:
 
     Other values are those of the stance.
     """
-    case = load(new_case.write(tmp_path / "femur", "femur", "cocr")).config
-    stance = load(CONFIGS / "stance_cocr.yaml").config
+    case = load_case(new_case.write(tmp_path / "femur", "femur", "cocr")).config
+    stance = load_case(CONFIGS / "stance_cocr.yaml").config
     for part in ("regions", "interfaces", "supports", "stages"):
         assert support.without_origin(case)[part] == support.without_origin(stance)[part]
     assert math.hypot(*case.loads["hip"].force) == pytest.approx(2.60 * 750, rel=0.005)  # type: ignore[attr-defined]
@@ -117,7 +117,7 @@ def test_init_femur_runs_without_a_warning(stem: str, tmp_path: Path) -> None:
 def test_init_stem_has_the_given_material(tmp_path: Path) -> None:
     moduli = []
     for stem in new_case.STEMS:
-        case = load(new_case.write(tmp_path / stem, "cylinders", stem)).config
+        case = load_case(new_case.write(tmp_path / stem, "cylinders", stem)).config
         moduli.append(case.regions["stem"].youngs_modulus)  # type: ignore[union-attr]
     assert moduli == [110e3, 200e3, 193e3]
 
@@ -180,7 +180,7 @@ def test_init_lists_names_of_a_mesh(tmp_path: Path) -> None:
         "  hold: {kind: fixed, boundary: foot}",
     ):
         assert line in text.splitlines()
-    assert list(load(path).config.regions) == ["shaft", "marrow"]
+    assert list(load_case(path).config.regions) == ["shaft", "marrow"]
 
 
 def test_init_of_touching_blocks_runs_unchanged(
@@ -189,7 +189,9 @@ def test_init_of_touching_blocks_runs_unchanged(
     """Interior surfaces are no boundaries. The launcher prints the name by which it was called."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MANTLE_CALLED", "./mantle")
-    meshes.write_msh(mantle.mesh(load(new_case.write(tmp_path / "b", "blocks"))), Path("own.msh"))
+    meshes.write_msh(
+        mantle.mesh(load_case(new_case.write(tmp_path / "b", "blocks"))), Path("own.msh")
+    )
     assert main(["init", "own", "--kind", "file"]) == 0
     assert "\n  ./mantle run own.yaml -o out/own\n" in capsys.readouterr().out
     results = mantle.run(mantle.load("own.yaml", mesh__order=1), "out")
@@ -225,6 +227,6 @@ def test_init_without_the_mesh_names_missing_entries(tmp_path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     assert "NAME_OF_A_REGION" in text and "It is not there yet" in text
     with pytest.raises(InputError) as caught:
-        load(path)
+        load_case(path)
     (message,) = caught.value.messages
     assert message == f"{path}:10:3: geometry.path: no such file: {path.parent}/own.msh"

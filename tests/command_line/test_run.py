@@ -23,8 +23,8 @@ import pytest
 import mantle
 import meshes
 from app.case import new_case
-from app.case.case import dump, load
-from app.case.quantities import largest
+from app.case.case import dump, load_case
+from app.case.quantities import maximum_with_parts
 from app.foundation.verdict import recorded
 from app.laws.loads import Force
 from app.report import run_report
@@ -161,7 +161,7 @@ def test_run_has_a_row_per_step(
     record = json.loads((output / "provenance.json").read_text())
     assert record["overrides"] == ["interfaces.cement_bone.friction_coefficient=0.8"]
     assert record["ranks"] == 1 and record["case"].endswith("small.yaml")
-    assert load(output / "case.yaml").config == load(case, record["overrides"]).config
+    assert load_case(output / "case.yaml").config == load_case(case, record["overrides"]).config
 
 
 def test_run_fields_are_read_back(done: tuple[Path, Path, str]) -> None:
@@ -270,14 +270,14 @@ def test_run_repeats_results_of_another_mesh_or_stack(tmp_path: Path) -> None:
     (tmp_path / "case.yaml").write_text(dump(case))
 
     def finished(**of: str) -> bool:
-        record = json.dumps({"identity": identity.parts() | of})
+        record = json.dumps({"identity": identity.versions() | of})
         (tmp_path / "provenance.json").write_text(record)
         return finished_runs.finished(tmp_path, case)
 
     assert not finished()
     (tmp_path / "DONE").write_text("")
     assert finished()
-    assert not any(finished(**{name: "0.1"}) for name in identity.parts())
+    assert not any(finished(**{name: "0.1"}) for name in identity.versions())
     later = (tmp_path / "DONE").stat().st_mtime + 1
     os.utime(mesh, (later, later))
     assert not finished()
@@ -430,7 +430,7 @@ def check_variations(s: dict[str, Any]) -> None:
 def check_bench(s: dict[str, Any]) -> None:
     """The stem bends above the pot. The resin is no bone, so there is no note on a femur."""
     assert "femur" not in s and s["section_loads"]
-    assert 250.0 < largest(s["regions"]["stem"], "von_mises_p99") < 450.0
+    assert 250.0 < maximum_with_parts(s["regions"]["stem"], "von_mises_p99") < 450.0
     assert s["regions"]["cement"]["von_mises_p99"] < 50.0
     assert 300.0 < s["stem_test"]["stem"]["level_stress"] < 450.0
     assert s["stem_test"]["stem"]["failing"] < 1e-6
@@ -464,7 +464,7 @@ def check_stance(s: dict[str, Any]) -> None:
             parts = [s["gruen"][str(zone)]["interfaces"][name] for zone in view]
             assert sum(p["area"] for p in parts) == pytest.approx(area)
             for key in ("gap", "slip", "pressure", "shear"):
-                assert max(p[f"{key}_max"] for p in parts) == largest(rest, f"{key}_max")
+                assert max(p[f"{key}_max"] for p in parts) == maximum_with_parts(rest, f"{key}_max")
                 mean, expected = (
                     sum(p["area"] * p[f"{key}_mean"] for p in of) for of in (parts, surfaces)
                 )
@@ -498,7 +498,7 @@ def _beam(z: float) -> float:
     Zone 4 reaches from 2 mm above the stem's tip at -118 mm to 20 mm below it, so its middle is at
     -127 mm. The sections of the parametric femur are integrated over angles.
     """
-    case = load(support.CONFIGS / "intact.yaml").config
+    case = load_case(support.CONFIGS / "intact.yaml").config
     force, moment, at = np.zeros(3), np.zeros(3), np.array([0.0, 0.0, z])
     for pull in case.loads.values():
         assert isinstance(pull, Force)
@@ -775,7 +775,7 @@ def test_run_of_a_case_with_a_base_can_be_repeated(tmp_path: Path) -> None:
 def test_run_of_a_run_imports_no_mesher_pictures_or_scipy(tmp_path: Path) -> None:
     """Each of these imports costs a tenth of a second or more."""
     path = support.CONFIGS / "blocks.yaml"
-    case = load(path).config
+    case = load_case(path).config
     meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
     script = (
         "import sys; from app.cli import main; "

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.case.case import load
+from app.case.case import load_case
 from app.fatigue import findings
 from app.fatigue.laws import Fatigue, Murphy, Power, Verdonschot, Weibull
-from app.fatigue.risk import NEAR, distance, reentrant_edges, tensions
+from app.fatigue.risk import NEAR, distance_from_edges, reentrant_edges, tensions
 from app.foundation.arrays import Floats
 from app.foundation.verdict import recorded
 from app.report import step_curves
@@ -87,12 +87,12 @@ def test_fatigue_weibull_risk_of_a_volume() -> None:
 def test_fatigue_reentrant_edges() -> None:
     """An L has a re-entrant edge, also in pieces. A bar has none, nor have facets around a stem."""
     edges = reentrant_edges(
-        support.mesh(load(support.CONFIGS / "verification/corner.yaml").config), "corner"
+        support.mesh(load_case(support.CONFIGS / "verification/corner.yaml").config), "corner"
     )
     length = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).sum()
     assert length == pytest.approx(1.0) and np.all(edges[..., :2] == 10.0)
     x = np.array([[10, 10, 0.5], [7, 6, 0.2], [10, 10, 3.0]])
-    np.testing.assert_allclose(distance(x, edges), [0, 5, 2], atol=1e-12)
+    np.testing.assert_allclose(distance_from_edges(x, edges), [0, 5, 2], atol=1e-12)
     assert not len(reentrant_edges(support.mesh(support.case(SPECTRUM)), "bar"))
     around = support.mesh(support.case(support.STEM))
     assert not len(reentrant_edges(around, "cement")) and NEAR > 0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from app.case.case import dump, load
+from app.case.case import dump, load_case
 from app.foundation.errors import InputError
 from app.laws.cycle_tables import ROTATIONS, CycleTable
 from app.laws.loads import Force
@@ -81,7 +81,7 @@ def about(axis: int, degrees: float) -> np.ndarray:
 def test_cycle_tables_of_motion_and_load_are_written(tmp_path: Path) -> None:
     (tmp_path / "gait.csv").write_text(GAIT)
     (tmp_path / "case.yaml").write_text(CASE)
-    case = load(tmp_path / "case.yaml").config
+    case = load_case(tmp_path / "case.yaml").config
     assert support.case(dump(case)) == case
     ball, law = case.motions["ball"], case.interfaces["lower_upper"]
     assert np.degrees(ball.rotation.cycle_table.values_at(ROTATIONS, 0.75)) == pytest.approx(
@@ -107,7 +107,7 @@ def test_cycle_tables_faults_name_the_line(wrong: str, text: str, tmp_path: Path
     (tmp_path / "gait.csv").write_text(GAIT.replace("600, 3", wrong, 1))
     (tmp_path / "case.yaml").write_text(CASE.partition("loads:")[0])
     with pytest.raises(InputError, match=re.escape(f"gait.csv: {text}")) as caught:
-        load(tmp_path / "case.yaml")
+        load_case(tmp_path / "case.yaml")
     assert caught.value.messages[0].startswith(f"{tmp_path / 'case.yaml'}:23:27: motions.ball")
 
 
@@ -116,7 +116,9 @@ def test_cycle_tables_by_name_or_file(tmp_path: Path) -> None:
     (tmp_path / "lib" / "gait.csv").write_text(GAIT)
     (tmp_path / "lib" / "below.yaml").write_text(CASE)
     (tmp_path / "case.yaml").write_text("base: lib/below.yaml\n")
-    config = load(tmp_path / "case.yaml", ["motions.ball.rotation.cycle_table=iso_14242_1"]).config
+    config = load_case(
+        tmp_path / "case.yaml", ["motions.ball.rotation.cycle_table=iso_14242_1"]
+    ).config
     cycle_table, of_load = (
         config.motions["ball"].rotation.cycle_table,
         config.loads["hip"].cycle_table,
@@ -131,7 +133,7 @@ def test_cycle_tables_by_name_or_file(tmp_path: Path) -> None:
     assert force[0.5] == 3000
     assert force[0.62] == 300
     assert force[1.0] == 300
-    assert "unverified: all motions" in preview.describe(
+    assert "unverified: all motions" in preview.case_in_words(
         config, {"regions": {"lower": {}, "upper": {}}}
     )
 

@@ -10,7 +10,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from app.case.case import Case, load
+from app.case.case import Case, load_case
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
 from app.laws.fibres import Circumferential, Radial
@@ -29,7 +29,7 @@ FREE = "{strain: [2e-3, 1e-3, 3e-3, 0, 0, 1e-3]}"
 
 
 def ring(lay: str, *overrides: str) -> Case:
-    return load(RING, (f"regions.ring.fibre.kind={lay}", *overrides)).config
+    return load_case(RING, (f"regions.ring.fibre.kind={lay}", *overrides)).config
 
 
 def turned(tagged: TaggedMesh, shift: Floats) -> TaggedMesh:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests import support
-from tests.cases.nested_stem import go
+from tests.cases.coarse_start_stem import go
 
 # Between load steps
 

@@ -15,7 +15,7 @@ import pytest
 from dolfinx import fem, io, mesh
 
 import meshes
-from app.case.case import load
+from app.case.case import load_case
 from app.case.geometries import Cylinders, MeshFile, MeshOptions
 from app.foundation.errors import InputError, MantleError
 from app.soundness.well_posedness import check_on_mesh, mesh_parts
@@ -229,7 +229,7 @@ def test_mesh_files_coincident_nodes_are_merged_unless_finite_sliding(
     assert areas["Top"] == pytest.approx(whole["top"])
     assert f"{len(points) - len(rod.points)} nodes are merged" in " ".join(back.notes["messages"])
     (tmp_path / "case.yaml").write_text(SLIDES)
-    case = load(tmp_path / "case.yaml").config
+    case = load_case(tmp_path / "case.yaml").config
     back = meshes.build(case.geometry, case.mesh)
     one, two = (rod.cells[rod.cell_tags == rod.regions[name]] for name in ("stem", "cement"))
     assert len(back.points) == len(rod.points) + len(np.intersect1d(one, two))
@@ -335,7 +335,7 @@ def test_mesh_files_damaged_or_useless_is_refused(
         f"geometry:\n  kind: file\n  path: {name}\nmesh: {{size: 1 mm}}\nregions: {{}}\n"
     )
     with pytest.raises(InputError) as caught:
-        load(case)
+        load_case(case)
     (message,) = (m for m in caught.value.messages if "geometry.path" in m)
     assert message.startswith(f"{case}:3:3: geometry.path: '{name}': {words}"), message
 
@@ -459,7 +459,7 @@ def test_mesh_files_coincident_bodies_without_common_nodes_have_a_note(
         gmsh.write(str(tmp_path / "a.msh"))
     data = meshes.build(MeshFile(path=tmp_path / "a.msh"), MeshOptions(size="1 mm"))
     (tmp_path / "case.yaml").write_text(text)
-    case = load(tmp_path / "case.yaml").config
+    case = load_case(tmp_path / "case.yaml").config
     texts = [v.text for v in check_on_mesh(case, mesh_parts(case, data))]
     notes = [text for text in texts if "touch over" in text]
     assert len(notes) == noted

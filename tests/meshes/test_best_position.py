@@ -37,7 +37,7 @@ def test_best_position_is_the_axis_of_a_round_canal(varus: float, flexion: float
     lean = math.tan(math.radians(varus)), math.tan(math.radians(flexion))
     canal = room.canal_of(CUT, tube((1.5, -1.0), lean))
     rod_in = rod(5.0)
-    best = best_position.best(canal, rod_in, START, LIMITS, wanted)
+    best = best_position.roomiest_position(canal, rod_in, START, LIMITS, wanted)
     fit = room.fit(canal, rod_in, CUT.put(IMPLANT, best, False))
     assert fit.least == pytest.approx(RADIUS - 5.0, abs=0.1)
     assert math.degrees(best.varus) == pytest.approx(varus, abs=0.15)
@@ -48,14 +48,14 @@ def test_best_position_is_the_axis_of_a_round_canal(varus: float, flexion: float
 def test_best_position_stays_within_limits_and_keeps_what_is_fixed() -> None:
     canal = room.canal_of(CUT, tube((6.0, 0.0), (0.0, 0.0)))
     limits = replace(LIMITS, varus=0.0, flexion=0.0, version=0.0, medial=2.0)
-    best = best_position.best(canal, rod(5.0), START, limits, wanted)
+    best = best_position.roomiest_position(canal, rod(5.0), START, limits, wanted)
     assert (best.varus, best.flexion, best.version) == (0.0, 0.0, 0.0)
     assert best.medial == pytest.approx(2.0, abs=1e-6)
 
 
 def test_best_position_with_enough_room_is_the_given_one() -> None:
     canal = room.canal_of(CUT, tube((0.5, 0.0), (0.0, 0.0)))
-    best = best_position.best(canal, rod(5.0), START, LIMITS, lambda theta, z: 3.0)
+    best = best_position.roomiest_position(canal, rod(5.0), START, LIMITS, lambda theta, z: 3.0)
     assert best == START
 
 
@@ -65,7 +65,7 @@ def test_best_position_never_has_less_room_than_the_given_one() -> None:
         given = {"depth": depth}
         before = Femur.model_validate({"insertion": given})
         after = Femur.model_validate({"insertion": given | {"best": {}}})
-        canal, stem = room.canal(before), StemSurface.of(before.implant, before.placement)
+        canal, stem = room.widest_canal(before), StemSurface.of(before.implant, before.placement)
         least = [room.fit(canal, stem, femur.placement).least for femur in (before, after)]
         assert least[1] >= least[0]
 
@@ -78,7 +78,7 @@ def test_best_position_places_a_stem_that_does_not_fit() -> None:
     given = {"insertion": {"varus": "3 deg"}, "stem": {"length": "130 mm"}, "tip_z": "-101 mm"}
     before = Femur.model_validate(given)
     stem = StemSurface.of(before.implant, before.placement)
-    canal = room.canal(before)
+    canal = room.widest_canal(before)
     assert room.fit(canal, stem, before.placement).least < 0.0
     best = {"insertion": {"varus": "3 deg", "best": {}}}
     femur = Femur.model_validate(given | best)
@@ -110,7 +110,7 @@ def test_best_position_is_searched_once_for_a_geometry(monkeypatch: pytest.Monke
         searches.append("")
         return replace(start, varus=math.radians(0.4))
 
-    monkeypatch.setattr(best_position, "best", counted)
+    monkeypatch.setattr(best_position, "roomiest_position", counted)
     given = {"insertion": "best", "stem": {"length": "130 mm"}, "tip_z": "-101 mm"}
     one, two = (Femur.model_validate(given) for _ in range(2))
     assert len(searches) == 1 and one == two

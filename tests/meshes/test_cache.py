@@ -31,7 +31,7 @@ def test_cache_returns_the_same_mesh_and_survives_damage(tmp_path: Path, rod: Me
     good = file.read_bytes()
     for how in DAMAGES:
         damage(file, how)
-        assert cache.load(file) is None
+        assert cache.cached_mesh(file) is None
         third = meshes.build(ROD, options(2.0), tmp_path)
         assert np.array_equal(third.cells, rod.cells)
         assert file.stat().st_size == len(good) and not list(tmp_path.glob("*.part"))

@@ -11,7 +11,7 @@ import pytest
 
 import mantle
 import meshes
-from app.case.case import dump, load
+from app.case.case import dump, load_case
 from app.case.geometries import Femur, MeshOptions
 from app.cli import main
 from app.foundation.arrays import Floats
@@ -51,7 +51,7 @@ def off(file: Path, x: Floats) -> Floats:
 
 def check(file: Path, mesh: str, least: float) -> None:
     """Corners of cells are on the faces of the file, and cells are well shaped."""
-    known = load(case(file, mesh)).config
+    known = load_case(case(file, mesh)).config
     data = meshes.build(known.geometry, known.mesh)
     assert quality.quality_without_length(data.points, data.cells).min() > least
     facets, owner = exterior_facets(data.cells)
@@ -77,7 +77,7 @@ def test_cad_stem_corners_lie_on_faces(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["parametric", "charnley", "sharp"])
 def test_cad_stem_lines_follow_section_corners(name: str, tmp_path: Path) -> None:
     """Lines are at the ends of arcs of round corners, and on sharp corners."""
-    known = load(case(cad_stems.write(name, tmp_path), "{size: 6 mm}")).config
+    known = load_case(case(cad_stems.write(name, tmp_path), "{size: 6 mm}")).config
     surfaces = LayeredSurfaces(known.geometry, known.mesh)
     phi = np.arange(surfaces.around) / surfaces.around
     sections = np.array(cad_stems.STEMS[name]["sections"])
@@ -101,7 +101,7 @@ def test_cad_stem_curved_facets_follow_shoulder_and_neck(
     name: str, most: float, tmp_path: Path
 ) -> None:
     """Middles of facets on the interface are on the faces of the file, also along edges."""
-    known = load(case(cad_stems.write(name, tmp_path), "{size: 6 mm}")).config
+    known = load_case(case(cad_stems.write(name, tmp_path), "{size: 6 mm}")).config
     data = meshes.build(known.geometry, known.mesh)
     low, high, *_, medial = known.geometry.stem.shape["in_file"]
     axis = (high - low) / np.linalg.norm(high - low)
@@ -119,7 +119,7 @@ def test_cad_stem_lines_do_not_turn_at_the_neck_cut(name: str, tmp_path: Path) -
 
     Lines continue straight along the stem.
     """
-    known = load(case(cad_stems.write(name, tmp_path), "{size: 6 mm}")).config
+    known = load_case(case(cad_stems.write(name, tmp_path), "{size: 6 mm}")).config
     surfaces = LayeredSurfaces(known.geometry, known.mesh)
     phi = np.arange(surfaces.around) / surfaces.around
     heights = known.geometry.placement.top - np.array([0.0, 3.0])
@@ -148,12 +148,12 @@ def test_cad_stem_check_reports_axis_head_and_neck(
     ):
         assert f"  {line}\n" in output
     assert "axis in inch.step: [0.0, 0.0, 0.0] to [0.0, 0.0, 147.0] mm" in output
-    moved = load(path, ["geometry.stem.head_centre=[45 mm, 0 mm, 170 mm]"]).config
+    moved = load_case(path, ["geometry.stem.head_centre=[45 mm, 0 mm, 170 mm]"]).config
     assert moved.geometry.head_centre == pytest.approx((45.0, 0.0, 52.0), abs=6e-3)
     with pytest.raises(InputError, match="head_offset: is given by the file of the stem"):
-        load(path, ["geometry.head_offset=40 mm"])
+        load_case(path, ["geometry.head_offset=40 mm"])
     (tmp_path / "again.yaml").write_text(dump(moved))
-    assert load(tmp_path / "again.yaml").config == moved
+    assert load_case(tmp_path / "again.yaml").config == moved
 
 
 @pytest.mark.parametrize(
@@ -187,7 +187,7 @@ def test_cad_stem_refuses_other_solids(what: str, why: str, tmp_path: Path) -> N
             occ.synchronize()
             gmsh.write(str(file))
     with pytest.raises(InputError) as caught:
-        load(case(file))
+        load_case(case(file))
     (message,) = caught.value.messages
     assert "bad.yaml:2:" in message or "short.yaml:2:" in message
     assert "geometry.stem.step: " in message and why in message
@@ -196,7 +196,7 @@ def test_cad_stem_refuses_other_solids(what: str, why: str, tmp_path: Path) -> N
 @pytest.mark.parametrize("size", [4.0, 3.9])
 def test_cad_stem_nonconvex_sections_mesh(tmp_path: Path, size: float) -> None:
     """The centre of the outline is outside of it. Cells were inverted there."""
-    known = load(case(cad_stems.write("anatomic", tmp_path), f"{{size: {size} mm}}")).config
+    known = load_case(case(cad_stems.write("anatomic", tmp_path), f"{{size: {size} mm}}")).config
     data = meshes.build(known.geometry, known.mesh)
     assert data.notes["quality"]["sicn_min_by_region"]["stem"] > 0.02
 
@@ -205,7 +205,7 @@ def test_cad_stem_nonconvex_sections_mesh(tmp_path: Path, size: float) -> None:
 def test_cad_stem_refuses_a_collar(tmp_path: Path) -> None:
     file = cad_stems.write("exeter", tmp_path, collar=True)
     for tip in ("-118 mm", "-124 mm"):
-        known = load(case(file), [f"geometry.tip_z={tip}"]).config
+        known = load_case(case(file), [f"geometry.tip_z={tip}"]).config
         with pytest.raises(GeometryError, match=r"meet its surface more than once|mm for cement"):
             meshes.build(known.geometry, known.mesh)
 
@@ -220,7 +220,7 @@ COLLAR = (
 @pytest.mark.parametrize("name", ["sharp", "deep"])
 def test_cad_stem_has_a_collar_on_the_cut(name: str, tmp_path: Path) -> None:
     """Sections in the collar are parallel to the cut, so the plate is even."""
-    known = load(case(cad_stems.write(name, tmp_path)), COLLAR).config
+    known = load_case(case(cad_stems.write(name, tmp_path)), COLLAR).config
     data, placement = meshes._make(known.geometry, known.mesh), known.geometry.placement
     x = data.points[np.unique(data.cells[data.cell_tags == data.regions["collar"], :4])]
     height = (x - placement.foot) @ placement.normal

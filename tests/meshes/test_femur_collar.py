@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import meshes
-from app.case.case import load
+from app.case.case import load_case
 from app.case.geometries import Femur, MeshOptions
 from app.foundation.errors import InputError
 from meshes.data import MeshData, interface_facets
@@ -138,11 +138,11 @@ def test_femur_collar_of_random_hips_is_meshed(seed: int) -> None:
 )
 def test_femur_collar_refuses(collar: str, text: str) -> None:
     with pytest.raises(InputError, match=text):
-        load(STANCE, (f"geometry.stem.collar={collar}",))
+        load_case(STANCE, (f"geometry.stem.collar={collar}",))
 
 
 def test_femur_collar_needs_a_material_and_a_law() -> None:
     with pytest.raises(InputError) as error:
-        load(STANCE, (*NO_CEMENT, "geometry.stem.collar={}"))
+        load_case(STANCE, (*NO_CEMENT, "geometry.stem.collar={}"))
     assert "no material for collar" in str(error.value)
     assert "no law for collar_bone" in str(error.value)

@@ -47,7 +47,7 @@ def places(x: Floats, facet: Floats, share: Floats) -> Floats:
 def test_gauge_points_integrate_polynomials_over_the_circle() -> None:
     """Means of x^2, x^4 and x^2 y^2 over a circle are R^2/4, R^4/8, R^4/24."""
     gauge = gauge_points(PLATE, (5, 5, 0.4), None, (1, 0, 1), 4.0)
-    x, y, z = (places(PLATE, gauge.facet, gauge.share) - [5, 5, 0]).T
+    x, y, z = (places(PLATE, gauge.facet, gauge.barycentric) - [5, 5, 0]).T
     assert gauge.weight.sum() == pytest.approx(1)
     assert gauge.distance == pytest.approx(0.4)
     assert gauge.weight @ x**2 == pytest.approx(2**2 / 4)
@@ -71,7 +71,7 @@ def test_gauge_points_lie_in_the_tangent_plane_of_a_sphere(curved: bool) -> None
         assert abs(gauge.normal @ radial) == pytest.approx(1, abs=1e-6 if curved else 1e-3)
         assert gauge.direction @ gauge.normal == pytest.approx(0, abs=1e-2)
         assert gauge.direction[2] > 0.8
-        off = places(x, gauge.facet, gauge.share) - gauge.centre
+        off = places(x, gauge.facet, gauge.barycentric) - gauge.centre
         across = (off**2).sum(axis=1) - (off @ gauge.normal) ** 2
         assert gauge.weight @ across == pytest.approx(1.5**2 / 2, rel=0.03)
 

@@ -13,7 +13,13 @@ import pytest
 import meshes
 from app.case.geometries import MeshFile
 from app.foundation.errors import GeometryError
-from meshes.data import assemble, boundary_areas, components, exterior_facets, region_volumes
+from meshes.data import (
+    boundary_areas,
+    connected_components,
+    exterior_facets,
+    mesh_data_of,
+    region_volumes,
+)
 from meshes.gmsh_session import MILLIMETRES, session
 from tests.meshes.simple import ROD, STACK, mesh, options
 
@@ -23,7 +29,7 @@ def test_imported_names_may_overlap_but_patches_may_not() -> None:
     cells = np.array([(0, 1, 2, 3), (1, 2, 3, 4)])
     facets, _ = exterior_facets(cells)
     low = points[facets].mean(axis=1)[:, 2] < 0.3
-    data = assemble(
+    data = mesh_data_of(
         points,
         cells,
         np.array([1, 1], dtype=np.int32),
@@ -35,8 +41,11 @@ def test_imported_names_may_overlap_but_patches_may_not() -> None:
     assert set(data.boundaries["low"]) < set(data.boundaries["all"])
     assert data.boundaries["none"] == ()
     assert len(data.facet_tags) == 6
-    assert components(data.neighbours, data.cell_tags).tolist() == [0, 0]
-    assert components(data.neighbours, np.array([1, 2], dtype=np.int32)).tolist() == [0, 1]
+    assert connected_components(data.neighbours, data.cell_tags).tolist() == [0, 0]
+    assert connected_components(data.neighbours, np.array([1, 2], dtype=np.int32)).tolist() == [
+        0,
+        1,
+    ]
 
 
 @pytest.mark.parametrize("unit", ["mm", "cm"])

@@ -10,7 +10,7 @@ import pytest
 from pydantic import ValidationError
 
 import meshes
-from app.case.case import load
+from app.case.case import load_case
 from app.case.geometries import MeshFile
 from app.case.gmsh_header import ALLOWED, physical_names
 from app.case.shapes import MeshOptions
@@ -113,7 +113,7 @@ def test_imported_scripts_of_second_order_have_curved_cells(
         if text == PIN
         else CASE.replace("order: 1", "order: 2")
     )
-    case = load(tmp_path / "case.yaml").config
+    case = load_case(tmp_path / "case.yaml").config
     data = meshes.build(case.geometry, case.mesh)
     assert data.curved == curved
     expected = {"pin": np.pi * 2**2 * 5} if curved else {"low": 6.0, "high": 12.0}
@@ -180,13 +180,13 @@ def test_imported_scripts_with_changed_files_are_refused(tmp_path: Path) -> None
 def test_imported_scripts_layers_are_solved(tmp_path: Path) -> None:
     """Uniform pressure without Poisson's effect gives u_z = -p z / E, across the joint too."""
     script(tmp_path, LAYERS)
-    case = load(tmp_path / "case.yaml").config
+    case = load_case(tmp_path / "case.yaml").config
     solved = support.solve(case)
     for name in ("low", "high"):
         x, u = solved.displacement(name)
         assert np.abs(u[:, 2] + x[:, 2] / 100).max() < 1e-10
     with pytest.raises(InputError, match="'between' is not part of the surface"):
-        support.solve(load(tmp_path / "case.yaml", ["supports.base.boundary=between"]).config)
+        support.solve(load_case(tmp_path / "case.yaml", ["supports.base.boundary=between"]).config)
 
 
 @pytest.mark.parametrize(
@@ -200,7 +200,7 @@ def test_imported_scripts_layers_are_solved(tmp_path: Path) -> None:
 def test_imported_scripts_refused_unread(text: str, expected: str, tmp_path: Path) -> None:
     script(tmp_path, text)
     with pytest.raises(InputError, match=rf"case\.yaml:1:24: geometry\.path: .*{expected}"):
-        load(tmp_path / "case.yaml")
+        load_case(tmp_path / "case.yaml")
 
 
 @pytest.mark.parametrize(

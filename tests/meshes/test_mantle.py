@@ -60,7 +60,7 @@ def eccentric(by: float) -> MeshData:
 def test_mantle_percentiles_and_clipped_part_are_by_area() -> None:
     """The distance between eccentric circles is exact all around."""
     by = 1.5
-    thickness = mantle.describe(eccentric(by), THICKNESS, -math.inf)["thickness"]
+    thickness = mantle.notes_on_mantle(eccentric(by), THICKNESS, -math.inf)["thickness"]
     turn = np.linspace(0.0, 2 * np.pi, 100_000)
     place = np.hypot(by + INNER * np.cos(turn), INNER * np.sin(turn))
     exact = INNER + THICKNESS - place
@@ -76,7 +76,7 @@ def test_mantle_percentiles_and_clipped_part_are_by_area() -> None:
 def test_mantle_thickness_by_gruen_zone() -> None:
     """The stem is moved medially. The whole rod is in the proximal third."""
     by = 1.5
-    zones = mantle.describe(eccentric(by), THICKNESS, -math.inf, Zones(Femur()))["gruen"]
+    zones = mantle.notes_on_mantle(eccentric(by), THICKNESS, -math.inf, Zones(Femur()))["gruen"]
     assert set(zones) == {"1", "7", "8", "14"}
 
     def exact(first: float, last: float) -> list[float]:
@@ -95,19 +95,19 @@ def test_mantle_thickness_by_gruen_zone() -> None:
 def test_mantle_below_the_tip_is_the_plug() -> None:
     """A level in the middle of the cells has half of the volume below it, and no thickness."""
     data = eccentric(0.0)
-    half = mantle.describe(data, THICKNESS, 0.5 * LENGTH)
+    half = mantle.notes_on_mantle(data, THICKNESS, 0.5 * LENGTH)
     assert half["plug_volume"] == pytest.approx(0.5 * half["volume"], rel=6e-3)
     # Thinning below the level does not change the thickness.
     x = data.points.copy()
     x[:, :2] *= np.where(x[:, 2] < 0.25 * LENGTH, 0.5, 1.0)[:, None]
     squeezed = replace(data, points=x)
-    assert mantle.describe(squeezed, THICKNESS, -math.inf)["thickness"]["min"] < 3.0
-    assert mantle.describe(squeezed, THICKNESS, 0.5 * LENGTH)["thickness"]["min"] > 3.8
+    assert mantle.notes_on_mantle(squeezed, THICKNESS, -math.inf)["thickness"]["min"] < 3.0
+    assert mantle.notes_on_mantle(squeezed, THICKNESS, 0.5 * LENGTH)["thickness"]["min"] > 3.8
 
 
 @pytest.mark.parametrize("curved", [True, False])
 def test_mantle_section_is_filled_with_closed_outlines(curved: bool) -> None:
-    polygons, outlines, owner = sections.section(mesh(curved=curved), 2, 0.37 * LENGTH)
+    polygons, outlines, owner = sections.section_of_cells(mesh(curved=curved), 2, 0.37 * LENGTH)
     area = 0.0
     for x, _ in polygons:
         u, v = x[:, :, 0], x[:, :, 1]

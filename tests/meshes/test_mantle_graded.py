@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 import meshes
 from app.case.geometries import Femur, MeshOptions
-from app.case.shapes import spread
+from app.case.shapes import range_of_thickness
 from app.foundation.arrays import Floats
 from meshes import femur_stem
 from meshes.data import interface_facets
@@ -62,6 +62,6 @@ def test_mantle_graded_nodes_have_the_local_thickness(kind: str, tmp_path: Path)
     assert data.notes["mantle"]["thickness"]["clipped_fraction"] < 0.1
     assert len(data.cells) == pytest.approx(geometry.estimate_cells(MESH), rel=0.15)
     theta, part = np.meshgrid(2 * np.pi * (np.arange(999) + 0.5) / 999, np.linspace(0, 1, 201))
-    least, mean, most = spread(geometry.cement_thickness)
+    least, mean, most = range_of_thickness(geometry.cement_thickness)
     t = asked(theta, part)
     assert (least, mean, most) == pytest.approx((t.min(), t.mean(), t.max()), abs=2e-4)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from meshes.nearest_facets import distance
+from meshes.nearest_facets import distance_from_triangles
 
 
 def test_nearest_facets_distance_from_large_triangles_beside_small_ones() -> None:
@@ -18,4 +18,4 @@ def test_nearest_facets_distance_from_large_triangles_beside_small_ones() -> Non
     small = np.concatenate([np.stack(t, axis=2).reshape(-1, 3, 3) for t in ((a, b, c), (a, c, d))])
     surface = np.concatenate([side, small])
     points = np.random.default_rng(3).uniform([0, 0, 0.5], [155, 12, 5], (200, 3))
-    assert distance(points, surface) == pytest.approx(points[:, 2], rel=1e-12)
+    assert distance_from_triangles(points, surface) == pytest.approx(points[:, 2], rel=1e-12)

@@ -55,11 +55,11 @@ def test_quality_relaxation_moves_only_free_nodes_of_poor_cells() -> None:
     x = np.vstack([corners, [[1.7, 0.4, 0.6]]])
     assert quality.sicn(x, cells).min() < -0.1
     free = np.arange(9) == 8
-    moved = quality.relaxed(x, cells, free, 6)
+    moved = quality.relaxed_nodes(x, cells, free, 6)
     assert quality.sicn(moved, cells).min() >= quality.POOR
     assert (moved[:8] == corners).all() and ((moved[8] > 0) & (moved[8] < 1)).all()
-    assert (quality.relaxed(moved, cells, free, 6) == moved).all()
-    assert (quality.relaxed(x, cells, np.zeros(9, dtype=bool), 6) == x).all()
+    assert (quality.relaxed_nodes(moved, cells, free, 6) == moved).all()
+    assert (quality.relaxed_nodes(x, cells, np.zeros(9, dtype=bool), 6) == x).all()
 
 
 @pytest.mark.parametrize(

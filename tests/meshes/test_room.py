@@ -39,7 +39,7 @@ def test_room_is_the_thickness_of_the_meshed_cement() -> None:
     mesh = MeshOptions.model_validate({"size": "5 mm"}).model_copy(update={"curved": True})
     least = meshes.build(geometry, mesh).notes["mantle"]["thickness"]["min"]
     stem = StemSurface.of(geometry.implant, geometry.placement)
-    fit = room.fit(room.canal(geometry), stem, geometry.placement)
+    fit = room.fit(room.widest_canal(geometry), stem, geometry.placement)
     assert fit.least == pytest.approx(least, abs=0.1)
 
 
@@ -61,5 +61,5 @@ def test_room_without_cement_is_the_cortex_left_above_the_least() -> None:
     )
     left = surfaces.lines(phi, s).length.min()
     stem = StemSurface.of(geometry.implant, geometry.placement)
-    fit = room.fit(room.canal(geometry), stem, geometry.placement)
+    fit = room.fit(room.widest_canal(geometry), stem, geometry.placement)
     assert fit.least == pytest.approx(left - LEAST_CORTEX, abs=0.15)

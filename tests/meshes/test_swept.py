@@ -20,10 +20,10 @@ from meshes import femur, femur_bone, femur_intact, femur_stem, quality, swept, 
 from meshes.bone_layers import TableLayers
 from meshes.data import (
     EDGES,
-    boundary_facets,
     exterior_facets,
     facet_areas,
     interface_facets,
+    nodes_of_boundary_facets,
     region_volumes,
     tangents,
 )
@@ -332,7 +332,7 @@ def test_swept_stem_of_any_length_meshes() -> None:
 def test_swept_low_head_neck_is_clear_of_bone(size: float, curved: bool) -> None:
     """A head at 45 mm moves the neck 2 mm above the bone, in good cells."""
     data = built(size, curved, head_height=16.0)
-    cut = data.points[np.unique(boundary_facets(data, "resection"))]
+    cut = data.points[np.unique(nodes_of_boundary_facets(data, "resection"))]
     middle = cut.mean(axis=0)
     normal = np.linalg.svd(cut - middle, full_matrices=False)[2][2]
     facets, owner = exterior_facets(data.cells)
@@ -383,7 +383,7 @@ def test_swept_section_that_is_not_star_shaped_is_refused() -> None:
 
 
 def test_swept_intersecting_layers_are_reported() -> None:
-    made = swept.mesh(_plain(), False)
+    made = swept.meshed_layers(_plain(), False)
     inner = np.flatnonzero((made.nodes.rho == 0) & (made.nodes.s == 40))
     made.nodes.x[inner[0]] += [40.0, 0.0, 0.0]
     place = r"layers cut through each other; the worst:\n  \w+ at \(.*\) mm: -0\."

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import mantle
-from app.case.case import load
+from app.case.case import load_case
 from app.foundation.errors import ConvergenceError
 from app.numerics.krylov import condition_number
 from app.numerics.remedies import solve
@@ -75,7 +75,7 @@ def test_krylov_iterations_do_not_grow_with_the_compliance_of_a_layer(
         f"interfaces.lower_upper.elastic_layer.{way}={layer} MPa/mm"
         for way in ("normal", "tangential")
     ]
-    summary = mantle.run(load(tmp_path / "case.yaml", changes), tmp_path / "out").summary
+    summary = mantle.run(load_case(tmp_path / "case.yaml", changes), tmp_path / "out").summary
     assert summary["solver"]["linear_iterations"] <= 60
     there = summary["interfaces"]["lower_upper"]
     assert there["penetration_mean"] == pytest.approx(1.0 / layer, rel=1e-6)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mantle
-from app.case.case import load
+from app.case.case import load_case
 from app.numerics.remedies import solve
 from app.results.reading import Results
 from meshes.distribute import TaggedMesh
@@ -55,7 +55,9 @@ def test_remedies_find_the_same_equilibrium_beyond_the_critical_friction(
     changes = [f"interfaces.{name}.friction_coefficient={friction}" for name in names]
     motions = []
     for linear in ("condensed", "direct"):
-        case = load(support.CONFIGS / "stress/stem.yaml", [*changes, f"solver.linear={linear}"])
+        case = load_case(
+            support.CONFIGS / "stress/stem.yaml", [*changes, f"solver.linear={linear}"]
+        )
         with caplog.at_level(logging.INFO, "mantle"):
             mantle.run(case, tmp_path / linear)
         assert "limiting friction by given pressures" in caplog.text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from app.numerics.rigid_motions import describe, rigid_modes
+from app.numerics.rigid_motions import motions_in_words, rigid_modes
 
 
 def test_rigid_motions_free_ones_are_named() -> None:
@@ -25,6 +25,6 @@ def test_rigid_motions_free_ones_are_named() -> None:
         (np.tile([1.0, 0, 0, 0, 0, 0], 2), "bodies 'a' and 'b': they are free to move along x tog"),
         (oblique, "body 'b': it is free to rotate about an axis along (0.60, 0.00, 0.80)"),
     ):
-        (text,) = describe(v[:, None], names, centres, origin, size)
+        (text,) = motions_in_words(v[:, None], names, centres, origin, size)
         assert text.startswith(f"nothing holds {motion_text}")
     assert rigid_modes(np.zeros((1, 3)))[0, :, 3:].any() is np.False_

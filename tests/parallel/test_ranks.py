@@ -340,7 +340,7 @@ def test_ranks_multigrid_iterations_are_equal(order: int, tmp_path: Path) -> Non
 def test_ranks_nested_start(ranks: int, tmp_path: Path) -> None:
     """The jumps are the same, from a start that is closer to equilibrium."""
     output = tmp_path / "numbers.json"
-    support.on_ranks(ranks, "-m", "tests.parallel.nested_case", output)
+    support.on_ranks(ranks, "-m", "tests.parallel.coarse_start_case", output)
     numbers = json.loads(output.read_text())
     assert numbers["difference"] < 1e-6 and numbers["start"] < 0.3
 

@@ -32,7 +32,7 @@ FULL = -25.0
 
 def in_patient(side: str) -> tuple[BoneSurface, BoneSurface, Floats]:
     """The femur and its canal in axes to right, anterior, superior, and the head's centre [mm]."""
-    head = landmarks.find(parametric_femur()).head
+    head = landmarks.find_landmarks(parametric_femur()).head
     # Medial is to the right of a left femur.
     mirror = np.diag([1.0 if side == "left" else -1.0, 1.0, 1.0])
     place = np.array([-ASIDE if side == "left" else ASIDE, 20.0, HEIGHT])

@@ -144,7 +144,7 @@ def damaged(rng: random.Random, content: bytes) -> bytes:
 
 def judged(path: Path) -> tuple[BoneSurface, landmarks.Frame]:
     surface = bone_surface.read(path)
-    return surface, landmarks.find(surface)
+    return surface, landmarks.find_landmarks(surface)
 
 
 def stl(folder: Path, corners: Any) -> Path:

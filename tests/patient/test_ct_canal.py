@@ -30,7 +30,7 @@ def read(folder: Path) -> Reader:
     """Return the function that reads the canal of a CT by a threshold."""
     labels, number = folder / "labels.nii.gz", NUMBERS["left"]
     surface = bone_surface.read(labels, None, number)
-    frame = landmarks.find(surface)
+    frame = landmarks.find_landmarks(surface)
     bone, body = frame.surface(surface), label_surface.body(labels, number)
     return lambda ct, threshold: ct_canal.read(ct, body, threshold, frame, bone)
 

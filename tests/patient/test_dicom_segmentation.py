@@ -91,8 +91,8 @@ def test_dicom_segmentation_has_the_voxels_of_each_segment(
 
 def test_dicom_segmentation_femur_by_name(tmp_path: Path) -> None:
     path = save(tmp_path / "seg.dcm", [CANAL, BONE], ["Medullary canal", "Femur right"])
-    femur = segmentation.femur(path, None, None)
-    canal = segmentation.canal(path, femur)
+    femur = segmentation.femur_structure(path, None, None)
+    canal = segmentation.canal_structure(path, femur)
     assert (femur.number, femur.side, canal and canal.number) == (2, "right", 1)
     body = label_surface.body(path, 2)
     assert body.notes[0].startswith("26 DICOM frames of 2 segments (SEG): 20 x 22 x ")

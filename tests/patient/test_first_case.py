@@ -41,7 +41,7 @@ def test_first_case_of_a_scan_has_the_bone_of_the_patient(
     assert "the axes of the image agree" in assumed[0]
     assert "the shaft is continued" in assumed[1]
     assert "body weight 600 N (loads.body_weight)" in assumed[4]
-    geometry = case_file.load(path).config.geometry
+    geometry = case_file.load_case(path).config.geometry
     assert isinstance(geometry, Patient)
     femur, frame = geometry.femur, geometry.femur.frame
     assert frame.side == side
@@ -65,14 +65,14 @@ def test_first_case_says_where_the_scan_ends(tmp_path: Path) -> None:
     """It ends with its lowest voxels, 130 mm below the head, as far below the lesser trochanter."""
     folder = scan(tmp_path, 130.0, edges=(1.5, 1.5, 1.5))
     path, assumed = first_case.write(folder / "hip", folder / "labels.nii.gz", None, None, None)
-    geometry = case_file.load(path).config.geometry
+    geometry = case_file.load_case(path).config.geometry
     assert isinstance(geometry, Patient)
     frame = geometry.femur.frame
     depth = 130.0 - float(frame.head[2] - frame.trochanter[2])
     found = re.search(r"the scan ends (\d+) mm below the lesser trochanter", assumed[1])
     assert found
     assert float(found[1]) == pytest.approx(depth, abs=1.5)
-    notes = [v.what for v in input_notes(case_file.load(path).config)]
+    notes = [v.what for v in input_notes(case_file.load_case(path).config)]
     assert any(f"the scan ends at z = -{found[1]} mm" in note for note in notes)
     assert abs(lengthening(geometry)) < first_case.LEG_LIMIT
 
@@ -101,7 +101,7 @@ def test_first_case_has_the_canal_of_a_ct_that_is_turned(tmp_path: Path) -> None
     for name in ("ct", "turned"):
         ct = folder / f"{name}.nii.gz"
         path, _ = first_case.write(folder / name, folder / "labels.nii.gz", ct, None, None)
-        geometry = case_file.load(path).config.geometry
+        geometry = case_file.load_case(path).config.geometry
         assert isinstance(geometry, Patient)
         widths.append(math.sqrt(centroid(geometry.femur.canal.level(-40.0))[1] / math.pi))
     assert widths[1] == pytest.approx(widths[0], abs=0.15)
@@ -130,10 +130,10 @@ def test_first_case_limits_the_leg_length(tmp_path: Path) -> None:
     folder = scan(tmp_path, 150.0, edges=(1.5, 1.5, 1.5))
     labels, ct = folder / "labels.nii.gz", folder / "ct.nii.gz"
     path, assumed = first_case.write(folder / "hip", labels, ct, None, None, cementless=True)
-    geometry = case_file.load(path).config.geometry
+    geometry = case_file.load_case(path).config.geometry
     assert isinstance(geometry, Patient)
     assert 6.9 < lengthening(geometry) <= 8.0
-    usual = case_file.load(path, ["geometry.stem.head_height=25 mm"]).config.geometry
+    usual = case_file.load_case(path, ["geometry.stem.head_height=25 mm"]).config.geometry
     assert isinstance(usual, Patient)
     assert lengthening(usual) > 8.0
     shorter = 25.0 - geometry.stem.head_height
@@ -146,7 +146,7 @@ def test_first_case_without_ct_has_the_canal_of_the_table(tmp_path: Path) -> Non
     labels = (folder / "labels.nii.gz").rename(folder / "patient: 7 #1.nii.gz")
     path, assumed = first_case.write(folder / "hip.yaml", labels, None, None, None)
     assert "ratios of the parametric femur" in assumed[2]
-    assert case_file.load(path).config.title == f"Hip of {labels.name}"
+    assert case_file.load_case(path).config.title == f"Hip of {labels.name}"
     with pytest.raises(InputError, match="exists already"):
         first_case.write(path, labels, None, None, None)
 
@@ -158,7 +158,7 @@ def test_first_case_without_cement_has_the_widest_stem_with_room(tmp_path: Path)
     path, assumed = first_case.write(folder / "hip", labels, ct, None, None, cementless=True)
     assert ", without cement; best position" in assumed[3]
     assert "materials of `pressed`" in assumed[4]
-    case = case_file.load(path).config
+    case = case_file.load_case(path).config
     geometry = case.geometry
     assert isinstance(geometry, Patient)
     assert not geometry.is_cemented
@@ -173,7 +173,7 @@ def test_first_case_without_cement_has_the_widest_stem_with_room(tmp_path: Path)
         f"geometry.stem.{key}={round(wider * size, 2)} mm"
         for key, size in first_case.CEMENTLESS.widths.items()
     }
-    other = case_file.load(path, sorted(numbers)).config.geometry
+    other = case_file.load_case(path, sorted(numbers)).config.geometry
     assert isinstance(other, Patient)
     assert room.fit_of(other).least < first_case.CEMENTLESS_ROOM
 
@@ -217,7 +217,7 @@ def test_first_case_notes_a_ct_that_is_moved(tmp_path: Path) -> None:
     labels = folder / "labels.nii.gz"
     path, assumed = first_case.write(folder / "hip", labels, folder / "moved.nii.gz", None, None)
     assert "moved.nii.gz: only" in assumed[-1] and "mirrored or moved" in assumed[-1]
-    notes = [v.what for v in input_notes(case_file.load(path).config)]
+    notes = [v.what for v in input_notes(case_file.load_case(path).config)]
     assert any("mirrored or moved" in note for note in notes)
 
 
@@ -250,7 +250,7 @@ def test_first_case_refuses_a_label_of_two_femora(tmp_path: Path) -> None:
         "base: stance\ngeometry: {kind: patient, bone: {image: two.nii.gz, label: 1}}"
     )
     with pytest.raises(InputError, match=r"two.yaml:2:27: geometry.bone: .*two.nii.gz: label 1"):
-        case_file.load(folder / "two.yaml")
+        case_file.load_case(folder / "two.yaml")
     _, assumed = first_case.write(folder / "hip", folder / "piece.nii.gz", None, None, None)
     assert f"{piece.sum():,} voxels in 1 other pieces left out" in assumed[-1]
 

@@ -39,20 +39,20 @@ def test_given_landmarks_in_other_axes_are_refused_with_hint(
     """The origin is near, so an apex with other signs is near the surface on the lateral side."""
     bone = moved(parametric_femur(), np.eye(3), np.full(3, shift))
     x = tuple(np.add(point, shift))
-    assert landmarks.find(bone, {name: x}).side == "left"
+    assert landmarks.find_landmarks(bone, {name: x}).side == "left"
     words = rf"geometry\.landmarks\.{name}: \(-.*{HINT}"
     with pytest.raises(GeometryError, match=words):
-        landmarks.find(bone, {name: others(*x)})
+        landmarks.find_landmarks(bone, {name: others(*x)})
 
 
 def test_given_landmarks_shaft_in_other_axes_is_refused_with_hint() -> None:
     bone = moved(parametric_femur(), np.eye(3), np.array([300.0, 300.0, 0.0]))
     line = (300.0, 300.0, -100.0), (300.0, 300.0, -20.0)
-    landmarks.find(bone, {"shaft": line})
+    landmarks.find_landmarks(bone, {"shaft": line})
     with pytest.raises(
         GeometryError, match=rf"landmarks\.shaft: \(-300, .*passes the bone.*{HINT}"
     ):
-        landmarks.find(bone, {"shaft": tuple(others(*x) for x in line)})
+        landmarks.find_landmarks(bone, {"shaft": tuple(others(*x) for x in line)})
 
 
 @pytest.mark.parametrize(
@@ -74,31 +74,33 @@ def test_given_landmarks_shaft_in_other_axes_is_refused_with_hint() -> None:
 def test_given_landmarks_beside_the_bone_are_refused(given: dict[str, Any], words: str) -> None:
     """There is no hint, because other signs of x and y do not move them onto the bone."""
     with pytest.raises(GeometryError, match=rf"^geometry\.landmarks\.{words}") as caught:
-        landmarks.find(parametric_femur(), given)
+        landmarks.find_landmarks(parametric_femur(), given)
     assert "posterior" not in str(caught.value)
 
 
 def test_given_landmarks_below_the_scan_are_accepted() -> None:
     """Condyles are in another part of the scan."""
     below = parametric_femur().points[:, 2].min() - 100.0
-    frame = landmarks.find(parametric_femur(), {"condyles": ((25, 0, below), (-25, 0, below))})
+    frame = landmarks.find_landmarks(
+        parametric_femur(), {"condyles": ((25, 0, below), (-25, 0, below))}
+    )
     assert frame.given == ("condyles",)
 
 
 def test_given_landmarks_that_are_unusual_have_notes() -> None:
     """The centre of the head is off the sphere, or the apex is off the neck. Notes name both."""
     bone = parametric_femur()
-    frame = landmarks.find(bone, {"head_centre": (34.0, 9.0, 52.0)})
+    frame = landmarks.find_landmarks(bone, {"head_centre": (34.0, 9.0, 52.0)})
     (doubt,) = frame.given_doubts
     assert doubt[0] == "head_centre" and "8 mm from the centre of the sphere" in doubt[1]
     assert ", given, radius" in frame.details["head"]
     (angle,) = frame.doubts(bone)
     assert "Is a given landmark wrong (landmarks.head_centre)" in angle
-    frame = landmarks.find(bone, {"lesser_trochanter": (25.0, -7.0, 28.0)})
+    frame = landmarks.find_landmarks(bone, {"lesser_trochanter": (25.0, -7.0, 28.0)})
     (doubt,) = frame.given_doubts
     assert doubt[0] == "lesser_trochanter" and "27 mm below the head's centre" in doubt[1]
     assert frame.details["lesser trochanter"].endswith("mm, given")
-    found = landmarks.find(bone)
+    found = landmarks.find_landmarks(bone)
     assert not found.given_doubts and "given" not in " ".join(found.details.values())
 
 

@@ -61,12 +61,16 @@ def test_image_modulus_published_laws(even: Path, law: str, expected: list[float
     A CT number of 1400 is 1.124 g/cm3 by the phantom.
     """
     E = ImageModulus.model_validate(modulus(even, law))
-    assert densities.modulus(law, np.array([0.3, 0.6, 1.0])) == pytest.approx(expected, abs=0.5)
+    assert densities.modulus_of_density(law, np.array([0.3, 0.6, 1.0])) == pytest.approx(
+        expected, abs=0.5
+    )
     details = E.details(None)
     (words,) = (text for key, text in details.items() if key.startswith("E at 0.3, 0.6, 1 g/cm3"))
     assert words.endswith(f"{expected[2]:,} MPa")
     assert details["image"] == "arrays of numpy: 60 x 60 x 60 voxels of 1 x 1 x 1 mm, int16"
-    below, above = (densities.modulus(law, np.array([0.27, 0.60]) + step) for step in (0, 1e-9))
+    below, above = (
+        densities.modulus_of_density(law, np.array([0.27, 0.60]) + step) for step in (0, 1e-9)
+    )
     assert below == pytest.approx(above, rel=1.5e-3)
     ash = 0.877 * 1.124 + 0.0789
     assert E.densities(1400) == pytest.approx({"qct": 1.124, "ash": ash, "apparent": ash / 0.6})

@@ -76,8 +76,8 @@ def test_label_image_segments_that_overlap_are_whole(name: str, tmp_path: Path) 
     path = nrrd_files.segmentation(
         tmp_path / "s.seg.nrrd", file.values, file.segments, file.list_first
     )
-    femur = segmentation.femur(path, None, None)
-    canal = segmentation.canal(path, femur)
+    femur = segmentation.femur_structure(path, None, None)
+    canal = segmentation.canal_structure(path, femur)
     assert (femur.number, femur.side) == (file.femur, "left")
     assert canal is not None
     assert canal.number == file.canal

@@ -12,7 +12,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from app.foundation.errors import InputError
-from app.laws.densities import modulus
+from app.laws.densities import modulus_of_density
 from app.patient import images, label_surface
 from app.patient.image_modulus import ImageModulus
 from meshes import femur_bone
@@ -189,7 +189,7 @@ def test_label_surface_moduli_at_points_of_the_cortex(scan: Path) -> None:
     low = femur_bone.Tube(femur_bone.CANAL).radius(angle, z) + 1.0
     r = low + part * (femur_bone.PERIOSTEUM.radius(angle, z) - low)
     x = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
-    expected = modulus(E.law, E.densities((density(z) - OFFSET) / SLOPE)["apparent"])
+    expected = modulus_of_density(E.law, E.densities((density(z) - OFFSET) / SLOPE)["apparent"])
     off = E.modulus_at(geometry.femur.frame.to_model(x), geometry) / expected - 1.0
     assert np.percentile(np.abs(off), 95) < 0.03
     assert abs(off.mean()) < 0.003

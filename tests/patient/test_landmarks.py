@@ -28,7 +28,7 @@ def test_landmarks_of_the_parametric_femur() -> None:
 
     A bump on a flare has its peak above its middle, at 0.
     """
-    marks = landmarks.find(parametric_femur())
+    marks = landmarks.find_landmarks(parametric_femur())
     turn = np.radians(15.0)
     assert marks.head == pytest.approx([43 * np.cos(turn), 43 * np.sin(turn), 54.0], abs=0.3)
     assert marks.radius == pytest.approx(23.0, abs=0.5)  # triangles are within the sphere
@@ -43,13 +43,13 @@ def test_landmarks_of_the_parametric_femur() -> None:
 
 def test_landmarks_uses_given_landmarks() -> None:
     given = {"head_centre": (40.0, 10.0, 50.0), "lesser_trochanter": (19.0, 7.0, 0.0)}
-    marks = landmarks.find(
+    marks = landmarks.find_landmarks(
         parametric_femur(), given | {"shaft": ((0, 0, -99), (0, 0, -9)), "side": "right"}
     )
     assert marks.head.tolist() == [40.0, 10.0, 50.0]
     assert marks.origin == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
     assert np.linalg.det(marks.axes) == pytest.approx(-1.0)
-    with_condyles = landmarks.find(
+    with_condyles = landmarks.find_landmarks(
         parametric_femur(), {"condyles": ((20, 0, -250), (-20, 0, -250))}
     )
     assert np.degrees(with_condyles.version) == pytest.approx(15.0, abs=1.0)
@@ -70,9 +70,9 @@ def copies(surface: BoneSurface, seed: int, number: int) -> list[tuple[Any, ...]
 
 def check_copies(surface: BoneSurface, number: int) -> None:
     """Repeatability is 0.1 mm, 0.5 and 0.1 deg, 1 mm; the side is always right."""
-    first = landmarks.find(surface)
+    first = landmarks.find_landmarks(surface)
     for copy, turn, shift, side in copies(surface, 1, number):
-        marks = landmarks.find(copy)
+        marks = landmarks.find_landmarks(copy)
         assert marks.side == side
         assert angle(marks.axes[2], turn @ first.axes[2]) < 0.5
         assert angle(marks.neck, turn @ first.neck) < 0.1
@@ -92,7 +92,7 @@ def test_landmarks_moves_with_the_bone() -> None:
 def test_landmarks_of_a_measured_femur() -> None:
     """Landmarks agree with the description (`data/README.md`), and with those of copies."""
     surface = bone_surface.read(MEASURED)
-    marks = landmarks.find(surface)
+    marks = landmarks.find_landmarks(surface)
     assert np.linalg.norm(marks.head) < 0.6
     assert marks.radius == pytest.approx(21.66, abs=0.4)
     assert marks.side == "right"
@@ -130,9 +130,9 @@ def test_landmarks_with_bumps_is_within_its_interval(
 ) -> None:
     """Deviations are those of the waves, and the interval covers 90 % of them."""
     surface = bone_surface.read(MEASURED)
-    first, covered = landmarks.find(surface), []
+    first, covered = landmarks.find_landmarks(surface), []
     for seed in range(20):
-        marks = landmarks.find(bumps(surface, rms, seed))
+        marks = landmarks.find_landmarks(bumps(surface, rms, seed))
         off = [
             float(np.linalg.norm(marks.head - first.head)),
             angle(marks.neck, first.neck),
@@ -157,7 +157,7 @@ def test_landmarks_refuse_the_wall_of_the_canal(tmp_path: Path) -> None:
     parts = [np.delete(bone, lowest[0], 0), np.delete(canal, lowest[1], 0), np.array(passage)]
     surface = bone_surface.read(stl(tmp_path, np.concatenate(parts)))
     with pytest.raises(GeometryError, match="its shaft is hollow: the surface includes"):
-        landmarks.find(surface)
+        landmarks.find_landmarks(surface)
 
 
 @pytest.mark.parametrize(
@@ -183,7 +183,7 @@ def test_landmarks_note_on_length_over_head() -> None:
 
     Without them any length is allowed.
     """
-    frame = landmarks.find(parametric_femur())
+    frame = landmarks.find_landmarks(parametric_femur())
     whole = replace(frame, version=0.2, length=18 * frame.radius)
     assert whole.doubts(parametric_femur()) == []
     (note,) = replace(whole, length=27 * frame.radius).doubts(parametric_femur())
@@ -201,7 +201,7 @@ def test_landmarks_note_where_the_image_cuts_the_bone() -> None:
     end = bone.points[bone.points[:, 2] < low + 1.0]
     head = bone.points[bone.points[:, 2] > top - 1.0]
     side = np.tile([20.0, 0.0, -120.0], (9, 1))
-    frame = landmarks.find(bone)
+    frame = landmarks.find_landmarks(bone)
     assert frame.doubts(replace(bone, borders=(end,))) == []
     above, beside = frame.doubts(replace(bone, borders=(head, end, side), doubts=()))
     assert "the bone is cut by the border of the image at (4" in above

@@ -31,9 +31,9 @@ def nifti(path: Path, *numbers: int, table: str = "") -> Path:
 
 def test_segmentation_femur_by_number_of_totalsegmentator(tmp_path: Path) -> None:
     """Numbers are those of version 2, and of version 1, which its hip bones reveal."""
-    second = segmentation.femur(nifti(tmp_path / "s.nii.gz", 75, 77, 51), None, None)
+    second = segmentation.femur_structure(nifti(tmp_path / "s.nii.gz", 75, 77, 51), None, None)
     assert (second.number, second.name, second.side) == (75, "femur_left", "left")
-    first = segmentation.femur(nifti(tmp_path / "s1.nii.gz", 89, 91, 51), None, None)
+    first = segmentation.femur_structure(nifti(tmp_path / "s1.nii.gz", 89, 91, 51), None, None)
     assert (first.number, first.side) == (89, "right")
     assert "version 1" in first.source
 
@@ -41,26 +41,28 @@ def test_segmentation_femur_by_number_of_totalsegmentator(tmp_path: Path) -> Non
 def test_segmentation_given_number_has_no_side_by_chance(tmp_path: Path) -> None:
     """A left femur has the label 76. Next to label 75 it would be a right one."""
     path = nifti(tmp_path / "s.nii.gz", 5, 76)
-    femur = segmentation.femur(path, "left", "76")
+    femur = segmentation.femur_structure(path, "left", "76")
     assert (femur.number, femur.name, femur.side) == (76, "", None)
-    assert segmentation.femur(path, None, None).side == "right"
-    assert segmentation.femur(nifti(path, 75, 76), None, "76").side == "right"
+    assert segmentation.femur_structure(path, None, None).side == "right"
+    assert segmentation.femur_structure(nifti(path, 75, 76), None, "76").side == "right"
 
 
 def test_segmentation_femur_by_name(tmp_path: Path) -> None:
     """Names are those of the table in NIfTI, of the file, of a folder, of segments of 3D Slicer."""
-    table = segmentation.femur(nifti(tmp_path / "t.nii.gz", 1, 2, table=TABLE), None, None)
+    table = segmentation.femur_structure(
+        nifti(tmp_path / "t.nii.gz", 1, 2, table=TABLE), None, None
+    )
     assert (table.number, table.name) == (1, "femur_left")
     one = nifti(tmp_path / "femur_right.nii.gz", 1)
-    assert segmentation.femur(one, None, None).side == "right"
-    assert segmentation.femur(tmp_path, "right", None).path == one
+    assert segmentation.femur_structure(one, None, None).side == "right"
+    assert segmentation.femur_structure(tmp_path, "right", None).path == one
     values = np.zeros((3, 4, 5))
     values[0, 0, 0], values[1, 2, 3] = 3, 7
     names = [("Femur L", None, 7), ("medullary canal", None, 3)]
     path = nrrd_files.segmentation(tmp_path / "s.seg.nrrd", [values], names)
-    bone = segmentation.femur(path, None, None)
+    bone = segmentation.femur_structure(path, None, None)
     assert (bone.number, bone.side) == (7, "left")
-    canal = segmentation.canal(path, bone)
+    canal = segmentation.canal_structure(path, bone)
     assert canal is not None
     assert canal.number == 3
 
@@ -85,16 +87,16 @@ def test_segmentation_refuses_no_femur_and_two(
 ) -> None:
     path = nifti(tmp_path / "s.nii.gz", *numbers)
     with pytest.raises(InputError, match=message):
-        segmentation.femur(path, side, label)
-    assert segmentation.femur(nifti(path, 75, 76), "right", None).number == 76
+        segmentation.femur_structure(path, side, label)
+    assert segmentation.femur_structure(nifti(path, 75, 76), "right", None).number == 76
 
 
 def test_segmentation_refuses_folders_without_a_femur(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="contains no segmentation; expected files"):
-        segmentation.femur(tmp_path, None, None)
+        segmentation.femur_structure(tmp_path, None, None)
     nifti(tmp_path / "liver.nii.gz", 1)
     with pytest.raises(InputError, match="has no file of a femur"):
-        segmentation.femur(tmp_path, None, None)
+        segmentation.femur_structure(tmp_path, None, None)
 
 
 def test_segmentation_structures_without_names_are_described_by_their_label() -> None:
@@ -129,4 +131,4 @@ def test_segmentation_two_segments_of_one_name_are_both_there(tmp_path: Path) ->
         tmp_path / "s.seg.nrrd", [bone, ball], [("femur", 0, 1), ("femur", 1, 1)]
     )
     with pytest.raises(InputError, match=r"femora: femur \(label 1\), femur \(1\) \(label 2\)"):
-        segmentation.femur(path, None, None)
+        segmentation.femur_structure(path, None, None)

@@ -20,7 +20,7 @@ from app.patient.bone_surface import BoneSurface
 from app.patient.geometry import Patient
 from app.patient.measured_layers import MeasuredLayers
 from meshes import femur_bone
-from meshes.plane_sections import centroid, exits, section
+from meshes.plane_sections import centroid, exits, lines_at_height
 from tests.patient.bones import parametric_canal, parametric_femur, tube, write
 from tests.patient.patients import made, patient
 
@@ -46,7 +46,7 @@ def scanned(surface: BoneSurface, point: Floats, normal: Floats) -> BoneSurface:
     axes = np.stack([a, np.cross(n, a), n])
     x = (surface.points - point) @ axes.T
     kept = shaft.clipped(replace(surface, points=x), 0.0)
-    lines = section(x[:, :2], x[:, 2], surface.triangles)
+    lines = lines_at_height(x[:, :2], x[:, 2], surface.triangles)
     edge = np.concatenate([lines, np.zeros((len(lines), 2, 1))], axis=2)
     middle = np.broadcast_to(edge.reshape(-1, 3).mean(axis=0), edge[:, 0].shape)
     cap = np.stack([middle, edge[:, 1], edge[:, 0]], axis=1)
@@ -56,7 +56,7 @@ def scanned(surface: BoneSurface, point: Floats, normal: Floats) -> BoneSurface:
 
 def below_head(surface: BoneSurface, below: float, tilt: float = 0.0) -> BoneSurface:
     """A surface that ends with a scan below the centre of mantle's femoral head [mm, rad]."""
-    head = landmarks.find(parametric_femur()).head
+    head = landmarks.find_landmarks(parametric_femur()).head
     return scanned(surface, head - [0.0, 0.0, below], np.array([math.sin(tilt), 0, math.cos(tilt)]))
 
 
@@ -90,7 +90,7 @@ def test_shaft_continued_is_that_of_the_whole_femur(tmp_path: Path, below: float
     geometry = patient(
         tmp_path, bone={"surface": "bone.stl", "unit": "mm"}, canal={"ream": "broach"}
     )
-    femur, whole = geometry.femur, landmarks.find(parametric_femur())
+    femur, whole = geometry.femur, landmarks.find_landmarks(parametric_femur())
     end = geometry.continued_below
     assert end is not None
     assert end == pytest.approx(54.0 - below - whole.origin[2] + shaft.EDGE_ROUNDING, abs=3.0)
@@ -272,15 +272,15 @@ def test_shaft_missing_length_is_that_of_a_scan_that_is_accepted(
 
     3 mm at the end of a surface do not count, since its edge may be round.
     """
-    frame = landmarks.find(parametric_femur())
+    frame = landmarks.find_landmarks(parametric_femur())
     trochanter = float(frame.head[2] - frame.trochanter[2])
     surface = below_head(parametric_femur(), below)
     with pytest.raises(GeometryError, match=r"ends about \d+ mm lower") as caught:
-        landmarks.find(surface)
+        landmarks.find_landmarks(surface)
     found = re.search(r"about (\d+) mm lower", str(caught.value))
     assert found
     assert float(found[1]) == pytest.approx(trochanter + 0.75 * frame.radius + 3.0 - below, abs=2)
-    lower = landmarks.find(below_head(parametric_femur(), below + float(found[1]) + 2.0))
+    lower = landmarks.find_landmarks(below_head(parametric_femur(), below + float(found[1]) + 2.0))
     assert lower.trochanter == pytest.approx(frame.trochanter, abs=2.0)
 
 

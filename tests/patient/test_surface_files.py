@@ -281,7 +281,7 @@ def test_surface_files_damaged_are_read_or_refused(tmp_path: Path) -> None:
                 bone = bone_surface.read(path)
                 if sought < 6 and bone.notes:
                     sought += 1
-                    landmarks.find(bone)
+                    landmarks.find_landmarks(bone)
         except (GeometryError, InputError) as error:
             assert str(path) in str(error) or "geometry.bone" in str(error)
         except BaseException as error:

@@ -23,7 +23,7 @@ def test_welding_concave_polygons_are_divided_inside() -> None:
     for seed in range(6):
         turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
         x = np.column_stack([xy, np.ones(len(xy))]) @ turn.T
-        triangles = welding.divided(x, [list(range(len(x)))])
+        triangles = welding.triangles_of_polygons(x, [list(range(len(x)))])
         a, b, c = np.moveaxis(x[triangles], 1, 0)
         areas = 0.5 * np.cross(b - a, c - a) @ turn[:, 2] * np.linalg.det(turn)
         assert len(triangles) == len(x) - 2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.plots.sections import cut
+from app.plots.sections import cut_tetrahedra
 from tests.meshes.simple import STACK, mesh
 
 
@@ -15,7 +15,7 @@ def test_sections_of_a_block_have_exact_areas(axis: int) -> None:
     size = np.array([10.0, 8.0, 12.0])
     at = float(size[axis]) * 0.3
     area = 0.0
-    for corners, _ in cut(data.points, data.cells, axis, at):
+    for corners, _ in cut_tetrahedra(data.points, data.cells, axis, at):
         fan = corners[:, 1:] - corners[:, :1]
         area += 0.5 * np.linalg.norm(np.cross(fan[:, :-1], fan[:, 1:]), axis=2).sum()
         assert np.allclose(corners[..., axis], at)

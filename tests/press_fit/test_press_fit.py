@@ -10,7 +10,7 @@ import pytest
 
 import app.extensions  # noqa: F401 (registers the package)
 import mantle
-from app.case.case import load
+from app.case.case import load_case
 from app.foundation.errors import ConvergenceError, InputError
 from app.foundation.verdict import Verdict
 from app.laws.contact_laws import Coulomb
@@ -196,7 +196,7 @@ def test_press_fit_collar_with_a_gap_is_raised_only_if_most_of_it_is_off_the_bon
 
 
 def test_press_fit_collar_that_the_flanks_pull_has_no_share() -> None:
-    case = load(CONFIGS / "collar.yaml").config
+    case = load_case(CONFIGS / "collar.yaml").config
     forces = {"collar_bone": [0.0, 0.0, -900.0], "stem_bone": [0.0, 0.0, -100.0]}
     numbers = of_collar(case, {name: {"force": force} for name, force in forces.items()})
     assert numbers["collar_share"] == pytest.approx(0.9)
@@ -218,10 +218,10 @@ def test_press_fit_collar_that_the_flanks_pull_has_no_share() -> None:
     ],
 )
 def test_press_fit_notes_an_interference_that_bone_does_not_bear(key: str, place: str) -> None:
-    case = load(CONFIGS / "collar.yaml", (f"interfaces.{key}",)).config
+    case = load_case(CONFIGS / "collar.yaml", (f"interfaces.{key}",)).config
     (text,) = (str(v) for v in preview.input_notes(case) if "not crushed" in v.what)
     assert place in text
-    usual = load(CONFIGS / "collar.yaml", ("interfaces.collar_bone.gap=-0.016 mm",)).config
+    usual = load_case(CONFIGS / "collar.yaml", ("interfaces.collar_bone.gap=-0.016 mm",)).config
     assert not [v for v in preview.input_notes(usual) if "not crushed" in v.what]
 
 
@@ -320,11 +320,11 @@ def test_press_fit_loads_need_a_stage_after_the_insertion(tmp_path: Path) -> Non
     load_ = "loads: {push: {kind: pressure, boundary: top, pressure: 1 MPa}}\n"
     path.write_text(PRESSED + load_)
     with pytest.raises(InputError, match="loads act during it: push"):
-        load(path)
+        load_case(path)
     one = ("stages=[{name: fit}]", "supports.top=null")
     with pytest.raises(InputError, match=r"stages: the interference grows until the end"):
-        load(path, one)
-    assert load(path, ("loads.push.history=[0, 1]",)).config
+        load_case(path, one)
+    assert load_case(path, ("loads.push.history=[0, 1]",)).config
 
 
 @pytest.mark.parametrize("history", ["[0.5, 1]", "[1, 0]"])
@@ -335,17 +335,17 @@ def test_press_fit_refuses_histories_that_act_during_it(history: str, tmp_path: 
     with pytest.raises(
         InputError, match=r"top.history: .* but supports move bodies during it: top"
     ):
-        load(path, (shift,))
+        load_case(path, (shift,))
     keys = f"{{kind: pressure, boundary: top, pressure: 1 MPa, history: {history}}}"
     message = r"loads act during it: push. .* up to the end of 'insert.*; if 'insert\w*' is no part"
     with pytest.raises(InputError, match=message):
-        load(path, (f"loads.push={keys}",))
+        load_case(path, (f"loads.push={keys}",))
     later = (
         "interfaces.bone_metal.gap_history=[0, 1, 1]",
         "stages=[{name: a}, {name: b}, {name: c}]",
     )
     with pytest.raises(InputError, match=r"end of 'b', e.g. `history: \[0, 0, 1\]"):
-        load(path, (*later, "supports.top=null", "loads.push=" + keys.replace("]", ", 1]")))
+        load_case(path, (*later, "supports.top=null", "loads.push=" + keys.replace("]", ", 1]")))
 
 
 def test_press_fit_cycle_tables_act_after_it(tmp_path: Path) -> None:
@@ -355,14 +355,14 @@ def test_press_fit_cycle_tables_act_after_it(tmp_path: Path) -> None:
     force = f'{{kind: force, boundary: top, force: "[0, 30, -40] N", cycle_table: {table}}}'
     path.write_text(PRESSED + f"loads:\n  hip: {force}\n")
     of_case = ("supports.top=null", "stages=[{name: press}, {name: rise}, {name: gait}]")
-    scene = build_scene(load(path, of_case).config)
+    scene = build_scene(load_case(path, of_case).config)
     sizes = scene.force_sizes(np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0]))["hip"]
     assert sizes == pytest.approx([0, 0, 25, 50, 10, 50])
-    sudden = load(path, (*of_case[:1], "stages=[{name: press}, {name: gait}]")).config
+    sudden = load_case(path, (*of_case[:1], "stages=[{name: press}, {name: gait}]")).config
     (note,) = (v for v in preview.input_notes(sudden) if "cycle begins" in v.what)
     assert "first stage after the insertion" in note.what and "{name: rise}" in note.remedy
     with pytest.raises(InputError, match=r"end of the last stage; .* \{name: rise\}, \{name: gait"):
-        load(path, (*of_case[:1], "stages=[{name: gait}]"))
+        load_case(path, (*of_case[:1], "stages=[{name: gait}]"))
 
 
 def test_press_fit_by_a_negative_gap_comes_before_the_loads() -> None:

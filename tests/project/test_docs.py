@@ -19,7 +19,7 @@ from ruamel.yaml import YAML
 
 import mantle
 from app.case import new_case
-from app.case.case import Case, load
+from app.case.case import Case, load_case
 from app.case.fit import FitFile
 from app.case.quantities import TABLE
 from app.case.study import StudyFile
@@ -138,7 +138,7 @@ def test_docs_yaml_blocks_are_cases_or_parts(page: Path, text: str, tmp_path: Pa
     data = YAML(typ="safe", pure=True).load(text)
     if CASE_KEYS <= data.keys():
         (tmp_path / "case.yaml").write_text(text, encoding="utf-8")
-        assert load(tmp_path / "case.yaml").config.geometry
+        assert load_case(tmp_path / "case.yaml").config.geometry
     elif "base" in data and data.keys() & CASE_KEYS:
         (tmp_path / "case.yaml").write_text(text, encoding="utf-8")
         new_case.write(tmp_path / "hip", "femur")
@@ -146,7 +146,7 @@ def test_docs_yaml_blocks_are_cases_or_parts(page: Path, text: str, tmp_path: Pa
             script("parametric_hip").write(tmp_path)
         if "image: labels.nii.gz" in text:
             script("synthetic_ct").main(tmp_path)
-        assert load(tmp_path / "case.yaml").config.loads
+        assert load_case(tmp_path / "case.yaml").config.loads
     elif "base" in data:
         kinds = {"study": StudyFile, "fit": FitFile}
         assert next((kinds[key] for key in kinds if key in data), Sweep).model_validate(data)

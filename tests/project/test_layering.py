@@ -160,6 +160,27 @@ def test_layering_class_names_are_unique() -> None:
     assert {name: modules for name, modules in places.items() if len(modules) > 1} == {}
 
 
+# Actions of a module on its own subject: `stl.read`, `blocks.build`. Callers name the module.
+ACTIONS = {"build", "check", "draw", "read", "run", "write"}
+
+
+def test_layering_public_functions_have_unique_names() -> None:
+    """A search for the name of a function ends at one definition.
+
+    Files of known problems are test modules of pytest, and import no functions of each other.
+    """
+    places = defaultdict(list)
+    for path in sources(*LAYERS):
+        if path.parent.name == "problems":
+            continue
+        for node in tree(path).body:
+            if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
+                places[node.name].append(named(path))
+    twice = {name: paths for name, paths in places.items() if len(paths) > 1}
+    assert {name: paths for name, paths in twice.items() if name not in ACTIONS} == {}
+    assert ACTIONS <= twice.keys()
+
+
 def test_layering_packages_are_installed_with_a_docstring() -> None:
     """The docstring is short; pyproject.toml lists the package."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
@@ -197,6 +218,25 @@ LAWS = tuple(
 )
 
 
+# Variables for a law, a load, a support or a heat condition in comparisons of kinds.
+OF_KINDS = ("law", "load", "support", "s", "condition")
+
+
+def kinds_compared(path: Path) -> list[int]:
+    """Lines that compare the kind of a law, or collect kinds: ``{law.kind for law in laws}``."""
+    lines = []
+    for node in ast.walk(tree(path)):
+        if isinstance(node, ast.Compare):
+            operands = [node.left, *node.comparators]
+            if any(ast.unparse(o) in {f"{name}.kind" for name in OF_KINDS} for o in operands):
+                lines.append(node.lineno)
+        elif isinstance(node, ast.SetComp | ast.ListComp | ast.GeneratorExp):
+            element = node.elt
+            if isinstance(element, ast.Attribute) and element.attr == "kind":
+                lines.append(node.lineno)
+    return lines
+
+
 @all_of("app")
 def test_layering_no_branches_by_class_or_kind_of_law(path: Path) -> None:
     """Laws, loads and supports answer by methods. Laws import UFL inside methods."""
@@ -208,9 +248,8 @@ def test_layering_no_branches_by_class_or_kind_of_law(path: Path) -> None:
     }
     names = (ast.unparse(n.cls) for n in ast.walk(tree(path)) if isinstance(n, ast.MatchClass))
     assert not laws.intersection(map(top, names))
-    compared = {ast.unparse(n.left) for n in ast.walk(tree(path)) if isinstance(n, ast.Compare)}
     if module(path) != "app.simulation.calculix":  # which laws another program has
-        assert not compared & {"law.kind", "load.kind", "support.kind", "s.kind"}
+        assert not kinds_compared(path)
 
 
 @all_of("app")
@@ -224,7 +263,9 @@ def test_layering_solver_does_not_import_the_case(path: Path) -> None:
         "app.results.level_sets",
         "app.results.over_time",
         "app.results.thermal_record",
+        "app.soundness.critical_friction",
         "app.soundness.failure",
+        "app.soundness.floating_bodies_of_state",
     ):
         seen = {m for m in imported(path) if package_of(m) in ("schema", "case")}
         # Types of published numbers.
@@ -317,8 +358,17 @@ def test_layering_branch_by_class_is_detected(tmp_path: Path) -> None:
     assert classes_asked_for(file) == {"Force", "Bonded", "Fixed"}
 
 
-@all_of("app/laws")
-def test_layering_laws_declare_their_fields(path: Path) -> None:
+def test_layering_comparison_of_kinds_is_detected(tmp_path: Path) -> None:
+    file = tmp_path / "kinds.py"
+    file.write_text(
+        "a = law.kind == 'bonded'\nb = 'force' != load.kind\n"
+        "c = {'contact'} & {law.kind for law in laws}\nd = f'{law.kind} of {name}'\n"
+    )
+    assert kinds_compared(file) == [1, 2, 3]
+
+
+@all_of("app/case", "app/fatigue", "app/laws", "app/press_fit", "app/remodelling", "app/report")
+def test_layering_fields_are_declared(path: Path) -> None:
     """`getattr` with a default hides a field that no class declares."""
     calls = (n for n in ast.walk(tree(path)) if isinstance(n, ast.Call))
     assert not [n.lineno for n in calls if names_in(n.func) == {"getattr"} and len(n.args) > 2]

@@ -38,12 +38,17 @@ from ufl.algorithms import expand_derivatives
 from app.case.case import Case
 from app.case.geometries import Cylinders
 from app.foundation.arrays import Floats, Ints
-from app.foundation.dolfinx_features import entity_maps, exterior_facets, facet_domain, submesh
+from app.foundation.dolfinx_features import (
+    entity_maps,
+    exterior_facet_entities,
+    facet_domain,
+    submesh,
+)
 from app.laws.contact_laws import Coulomb
 from app.laws.loads import BodyForce, Force, Pressure
 from app.laws.materials import Isotropic
 from app.laws.supports import Displacement, Fixed, Roller
-from app.schema.expressions import evaluate
+from app.schema.expressions import values_at_points
 from meshes.distribute import TaggedMesh
 
 VERTEX_RULE = {"quadrature_rule": "vertex", "quadrature_degree": 1}
@@ -167,7 +172,7 @@ class Interface:
         self.free.x.array[:] = 1
         self.gap = fem.Function(fem.functionspace(surface, ("Lagrange", 1)))
         at = self.gap.function_space.tabulate_dof_coordinates()
-        gap = evaluate(law.gap, at) if isinstance(law.gap, str) else law.gap
+        gap = values_at_points(law.gap, at) if isinstance(law.gap, str) else law.gap
         self.full_gap: Floats = np.broadcast_to(gap, len(at))
         r = 0.3 * modulus[self.slave] / edge
         self.r = fem.Constant(mesh, default_scalar_type(r))
@@ -435,7 +440,7 @@ def _patches(
             facets = _boundary_facets(tagged, part, load.boundary)
             if len(facets):
                 patches[key][name] = len(data)
-                data.append((len(data), exterior_facets(tagged.mesh.topology, facets)))
+                data.append((len(data), exterior_facet_entities(tagged.mesh.topology, facets)))
     return ufl.Measure("ds", domain=tagged.mesh, subdomain_data=data), patches
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.case.case import load
+from app.case.case import load_case
 from app.foundation.errors import InputError
-from app.remodelling.intact_femur import interpolated
+from app.remodelling.intact_femur import values_in_nearest_cells
 from app.remodelling.laws import remodelling_of
 from app.results.reading import Run
 from app.scene.scene import build_scene
@@ -25,7 +25,7 @@ SHORT = "stages.1.remodels=2 s"
 def solved(folder: Path, *overrides: str, case: Path = CASE) -> Run:
     """Run a case; its results."""
     folder.mkdir()
-    run(load(case, [*overrides, "output.report=false"]), folder)
+    run(load_case(case, [*overrides, "output.report=false"]), folder)
     return Run(folder)
 
 
@@ -70,9 +70,9 @@ def test_remodelling_in_other_units(tmp_path: Path) -> None:
         "density": "[10 kg/m^3, 1740 kg/m^3]",
         "tolerance": "10 kg/m^3",
     }
-    a = remodelling_of(load(CASE).config)
+    a = remodelling_of(load_case(CASE).config)
     overrides = [f"remodelling.{key}={value}" for key, value in other.items()]
-    b = remodelling_of(load(CASE, overrides).config)
+    b = remodelling_of(load_case(CASE, overrides).config)
     assert a == b and a is not None
 
 
@@ -93,7 +93,7 @@ def test_remodelling_unchanged_load_changes_nothing(tmp_path: Path) -> None:
     # By a run's folder; and a message names what the intact case lacks.
     folder = tmp_path / "run"
     folder.mkdir()
-    run(load(intact), folder)
+    run(load_case(intact), folder)
     again = solved(
         tmp_path / "again", *reference[::2], f"remodelling.intact={folder}/case.yaml", grid
     )
@@ -154,18 +154,18 @@ def test_remodelling_interpolates_from_another_mesh() -> None:
     corners = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]], dtype=float)
     values = corners @ [1.0, 2.0, 3.0] + 4
     x = rng.dirichlet([1, 1, 1, 1], 20)[:, 1:]
-    assert interpolated(corners, values, x) == pytest.approx(x @ [1.0, 2.0, 3.0] + 4)
-    assert interpolated(corners, values, np.array([[2.0, 0, 0]])) == pytest.approx([5.0])
+    assert values_in_nearest_cells(corners, values, x) == pytest.approx(x @ [1.0, 2.0, 3.0] + 4)
+    assert values_in_nearest_cells(corners, values, np.array([[2.0, 0, 0]])) == pytest.approx([5.0])
 
 
 def test_remodelling_notes_a_missing_lazy_zone() -> None:
-    assert not input_notes(load(CASE).config)
-    (note,) = input_notes(load(CASE, ["remodelling.lazy_zone=0"]).config)
+    assert not input_notes(load_case(CASE).config)
+    (note,) = input_notes(load_case(CASE, ["remodelling.lazy_zone=0"]).config)
     assert "remodelling.lazy_zone is 0: if the modulus rises faster" in note.text
 
 
 def test_remodelling_costs_nothing_if_absent() -> None:
-    scene = build_scene(load(support.CONFIGS / "blocks.yaml").config)
+    scene = build_scene(load_case(support.CONFIGS / "blocks.yaml").config)
     assert not scene.stiffness_varies and not scene.loads_of
     assert not any(e.varies for e in scene.elastic)
 
@@ -201,7 +201,7 @@ LAW = "remodelling.law={density: apparent, ranges: [[0 g/cm^3, 0 MPa, 100 MPa, "
 )
 def test_remodelling_refuses_bad_input(overrides: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        load(CASE, [overrides])
+        load_case(CASE, [overrides])
 
 
 def test_remodelling_with_zero_stimulus(tmp_path: Path) -> None:

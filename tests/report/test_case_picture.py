@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from app.case.case import load
+from app.case.case import load_case
 from app.plots import figures, sections
 from app.report import case_picture
 from app.system import folders
@@ -43,7 +43,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
 @pytest.mark.parametrize("name", CASES)
 def test_case_picture_labels_do_not_overlap(name: str, tmp_path: Path, made: list[Any]) -> None:
-    case = load(support.CONFIGS / name, [f"mesh.size={CASES[name]}"]).config
+    case = load_case(support.CONFIGS / name, [f"mesh.size={CASES[name]}"]).config
     data = build(case.geometry, case.mesh, folders.cache("meshes"))
     case_picture.draw(case, data, tmp_path / "case.png")
     texts = [t for ax in made[0].axes for t in ax.texts if t.get_text()] + made[0].texts
@@ -70,7 +70,7 @@ def test_case_picture_labels_do_not_overlap(name: str, tmp_path: Path, made: lis
 
 def test_case_picture_long_title_and_legend_fit(tmp_path: Path, made: list[Any]) -> None:
     """A title of many lines is inside the picture. A legend of six lines covers no axis."""
-    case = load(
+    case = load_case(
         support.CONFIGS / "blocks.yaml", ["mesh.size=4mm", f"title={'many words of a title ' * 20}"]
     ).config
     data = build(case.geometry, case.mesh, folders.cache("meshes"))
@@ -90,7 +90,7 @@ def test_case_picture_long_title_and_legend_fit(tmp_path: Path, made: list[Any])
 
 def test_case_picture_legend_has_the_friction_of_zones(tmp_path: Path, made: list[Any]) -> None:
     zones = "interfaces.stem_bone.zones={half_coated: {above: 80 mm, friction_coefficient: 0.6}}"
-    case = load(support.CONFIGS / "pressed.yaml", ["mesh.size=12 mm", zones]).config
+    case = load_case(support.CONFIGS / "pressed.yaml", ["mesh.size=12 mm", zones]).config
     data = build(case.geometry, case.mesh, folders.cache("meshes"))
     case_picture.draw(case, data, tmp_path / "case.png")
     legends = [text.get_text() for legend in made[0].legends for text in legend.get_texts()]
@@ -109,7 +109,7 @@ def test_case_picture_of_a_right_femur_says_that_it_is_mirrored(
             "geometry: {kind: patient, bone: {surface: "
             f"{name}.stl, unit: mm}}}}\nloads: {{library: one_leg_stance}}\n"
         )
-        case = load(path).config
+        case = load_case(path).config
         data = build(case.geometry, case.mesh, folders.cache("meshes"))
         case_picture.draw(case, data, tmp_path / "case.png")
         assert case.geometry.is_mirrored == (name == "right")

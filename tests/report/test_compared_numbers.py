@@ -52,7 +52,7 @@ def test_compared_numbers_are_ordered_by_significance(tmp_path: Path) -> None:
         values = {key: row[k] for key, row in numbers.items()}
         errors = {f"{key}_error": e for key, (*_, e) in numbers.items() if e is not None}
         cases.append(run(tmp_path / name, interfaces={"stem_cement": values | errors}))
-    ordered = compared_numbers.compared(cases)
+    ordered = compared_numbers.compared_numbers(cases)
     keys = [number.key.removeprefix("stem_cement.") for number in ordered]
     assert keys[:4] == ["gap_p99", "slip_p99", "pressure_max", "shear_max"]
     assert {*keys[4:]} == {"motion_p99", "dissipation"}
@@ -105,7 +105,7 @@ def test_compared_numbers_are_of_every_section(tmp_path: Path) -> None:
         "timing": {"total": 3.0},
     }
     cases = [run(tmp_path / name, **sections) for name in ("a", "b")]
-    numbers = {number.key: number for number in compared_numbers.compared(cases)}
+    numbers = {number.key: number for number in compared_numbers.compared_numbers(cases)}
     assert {*numbers} == {
         "stem_cement.force.x",
         "stem_cement.force.y",
@@ -131,6 +131,6 @@ def test_compared_numbers_list_those_of_one_run(tmp_path: Path) -> None:
         run(tmp_path / "cemented", interfaces=cemented, stem={"subsidence": 0.02}),
         run(tmp_path / "pressed", stem={"subsidence": 0.05}),
     ]
-    assert [n.key for n in compared_numbers.compared(cases)] == ["stem.subsidence"]
+    assert [n.key for n in compared_numbers.compared_numbers(cases)] == ["stem.subsidence"]
     sentences = compared_numbers.unshared(["cemented", "pressed"], cases)
     assert sentences == ["cemented alone has 2 of stem-cement."]

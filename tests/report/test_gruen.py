@@ -95,8 +95,8 @@ def test_gruen_mantles_are_compared_by_achieved_thickness(maker: Maker) -> None:
         *[("clipped", [2.0, 2.6])] * 2,
         *[("cavity", [2.1, 4.0])] * 2,
     ]
-    drawn = str(sweep_figures.multiples(cases, None)[0])
+    drawn = str(sweep_figures.draw_over_keys(cases, None)[0])
     assert "Numbers over achieved mean thickness" in drawn
     for case in cases:
         case.summary["mantle"]["thickness"]["clipped_fraction"] = 0.0
-    assert "achieved" not in str(sweep_figures.multiples(cases, None)[0])
+    assert "achieved" not in str(sweep_figures.draw_over_keys(cases, None)[0])

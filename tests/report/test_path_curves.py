@@ -40,7 +40,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def test_path_curves_draw_the_ends_of_stages(runs: list[Path]) -> None:
     """Units are those of the page, with a gap where the path is outside."""
     case = SweptCase("hard", runs[0], CONVERGED)
-    shown = path_curves.panels(case.paths["through"], path_curves.stages_of(case))
+    shown = path_curves.panels_of_path(case.paths["through"], path_curves.stages_of(case))
     assert [(panel.title, panel.y) for panel in shown] == [
         ("displacement z", "µm"),
         ("von Mises stress", "MPa"),
@@ -55,7 +55,7 @@ def test_path_curves_of_rounding_are_zero(runs: list[Path]) -> None:
     case = SweptCase("hard", runs[0], CONVERGED)
     table = dict(case.paths["through"])
     table["displacement.z [mm]"] = np.full_like(table["displacement.z [mm]"], 4e-12)
-    first, *_ = path_curves.panels(table, path_curves.stages_of(case))
+    first, *_ = path_curves.panels_of_path(table, path_curves.stages_of(case))
     assert not any(any(line.y) for line in first.lines)
 
 
@@ -90,6 +90,6 @@ def test_path_curves_over_time_draw_some_moments() -> None:
         path_curves.REGION: np.full(60, "bar"),
         "temperature [degC]": 37.0 + steps,
     }
-    (panel,) = path_curves.panels(table, ["cool"])
+    (panel,) = path_curves.panels_of_path(table, ["cool"])
     assert [line.label for line in panel.lines] == ["6 s", "36 s", "60 s", "90 s", "120 s"]
     assert panel.y == "°C"

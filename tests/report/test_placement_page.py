@@ -86,7 +86,7 @@ def expected(geometry: OperatedHip, numbers: dict[str, float]) -> list[float]:
     at = Position(
         numbers["depth"], **angles, medial=numbers["medial"], anterior=numbers["anterior"]
     )
-    canal = room.canal(geometry)
+    canal = room.widest_canal(geometry)
     placement = canal.cut.put(geometry.implant, at, geometry.femur.mirrored)
     fit = room.fit(canal, room.StemSurface.of(geometry.implant, placement), placement)
     implant = geometry.implant
@@ -212,7 +212,7 @@ def test_placement_page_numbers_equal_those_of_check(
         case = geometry.model_dump(mode="json", exclude_none=True) | {"insertion": keys}
         hip = Femur.model_validate(case)
         stem = room.StemSurface.of(hip.implant, hip.placement)
-        fit = room.fit(room.canal(hip), stem, hip.placement)
+        fit = room.fit(room.widest_canal(hip), stem, hip.placement)
         assert fit.least == pytest.approx(least, abs=0.01)
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from app.report import sweep_figures
 from app.report import sweep_results as rs
+from app.report import sweep_tables
 from app.report.page import bullets, page
 
 
@@ -21,7 +21,7 @@ def test_report_of_samples_has_no_curves_and_sorted_levels(tmp_path: Path) -> No
     grid = [rs.SweptCase("g", tmp_path / "g", "converged", "grid", {"mesh.size": "2 mm"})]
     results = rs.SweepResults(tmp_path, "A sweep", [*samples, *grid], uncertainty={"samples": {}})
     assert results.on_axes == grid
-    (sentence,) = sweep_figures.axes_in_words(samples)
+    (sentence,) = sweep_tables.axes_in_words(samples)
     assert "40 levels from 0.125 to 5" in sentence
 
 

@@ -127,7 +127,7 @@ def test_run_report_without_3d_view_gives_the_reason(
 
     numbers = summary(done)
     numbers["interfaces"]["stem_cement"]["penetration_max"] = 2e-3
-    verdicts.record(numbers, [note("a of 37 degC and 5 mm^2, um")])
+    verdicts.record_verdicts(numbers, [note("a of 37 degC and 5 mm^2, um")])
     monkeypatch.setattr(viewer, "viewer", broken)
     html = changed(done, tmp_path / "run", numbers)
     assert "no view in three dimensions: IndexError: no &lt;such&gt; cell" in html
@@ -145,7 +145,7 @@ def test_run_report_errors_are_in_the_verdicts(done: Path, tmp_path: Path) -> No
     for q in interfaces.values():
         q["slip_p99_error"] = 0.02 * q["slip_p99"]
     interfaces["cement_bone"]["pressure_p95_error"] = 10.0
-    verdicts.record(numbers, [])
+    verdicts.record_verdicts(numbers, [])
     html = shown(changed(done, tmp_path / "run", numbers))
     line = "mesh and step: half of the percentiles have errors below ± 2 %; the largest error is"
     assert line in html
@@ -159,7 +159,7 @@ def test_run_report_errors_are_in_the_verdicts(done: Path, tmp_path: Path) -> No
     assert "stem_cement" not in html[: html.index("Numbers")]
 
     numbers["error"] = error | {"companions": ["mesh 4 mm, 0.5 times"], "sources": "load step"}
-    verdicts.record(numbers, [])
+    verdicts.record_verdicts(numbers, [])
     html = shown(changed(done, tmp_path / "steps", numbers))
     assert "load step: half" in html and "the error of the mesh is not estimated" in html
 
@@ -196,13 +196,13 @@ def samples(run: Path, folder: Path, number: int = 20, thickness: str = "4.0 mm"
 
 def test_run_report_folds_many_notes(done: Path, tmp_path: Path) -> None:
     numbers = summary(done)
-    verdicts.record(numbers, [note(f"number {k}") for k in range(4)])
+    verdicts.record_verdicts(numbers, [note(f"number {k}") for k in range(4)])
     html = changed(done, tmp_path / "four", numbers)
     folded = re.search(
         r"<details><summary>4 notes on the input</summary>(.*?)</details>", html, re.S
     )
     assert folded and folded[1].count("number") == 4
-    verdicts.record(numbers, [note("number 1")])
+    verdicts.record_verdicts(numbers, [note("number 1")])
     assert "notes on the input" not in changed(done, tmp_path / "one", numbers)
 
 
@@ -289,7 +289,7 @@ def test_run_report_unusable_results_are_red(done: Path, tmp_path: Path) -> None
     assert "stopped by SIGTERM" in html and "equilibrium: satisfied" not in html
     numbers = summary(done) | {"status": "do not use"}
     numbers["balance"]["force"] = 1.0
-    verdicts.record(numbers, [])
+    verdicts.record_verdicts(numbers, [])
     html = changed(done, tmp_path / "lost", numbers)
     text = "equilibrium: NOT satisfied: relative error of force 1.0e+00; allowed 1e-08"
     assert f'<span class="bad">do not use</span>: {text}' in html

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from app.cli import main
-from app.report import sweep_figures, sweep_report
+from app.report import sweep_keys, sweep_report, sweep_tables
 from app.report import sweep_results as rs
 from app.report.sweep_results import Number
 from tests.report.sweeps import Maker, as_the_paper_says, contact, femur, sweep
@@ -117,8 +117,8 @@ def test_sweep_report_levels_have_one_unit(
     """If the sweep has several units, the levels have the unit of the schema."""
     key = key.replace(".T", ".temperature")
     cases = [rs.SweptCase(str(x), Path(), "converged", "", {key: x}) for x in written]
-    assert sweep_figures.axes_in_words(cases) == [f"{words}."]
-    assert sweep_figures.levels(cases, key)[1] == pytest.approx(numbers)
+    assert sweep_tables.axes_in_words(cases) == [f"{words}."]
+    assert sweep_keys.levels_of(cases, key)[1] == pytest.approx(numbers)
 
 
 def test_sweep_report_rank_correlations(maker: Maker) -> None:
@@ -130,7 +130,7 @@ def test_sweep_report_rank_correlations(maker: Maker) -> None:
             keys = {"geometry.taper": written, "geometry.length": f"{length:g} mm"}
             name = f"{taper:g} {length:g}"
             maker.add(name, data, {"interfaces": numbers}, overrides=keys)
-    head, rows = sweep_figures.sensitivity(rs.read(maker.write()).cases)
+    head, rows = sweep_tables.sensitivity(rs.read(maker.write()).cases)
     assert len(head) == 2 and rows
     for name, words in rows:
         assert name.startswith("thickness: ")
@@ -138,9 +138,9 @@ def test_sweep_report_rank_correlations(maker: Maker) -> None:
     cases = rs.read(maker.folder).cases
     for case in cases:  # the same without numbers
         case.overrides["geometry.taper"] = {"kind": case.overrides["geometry.taper"]}
-    assert sweep_figures.sensitivity(cases)[1][0][1] == ["+1.00 taper", "+0.00 length"]
+    assert sweep_tables.sensitivity(cases)[1][0][1] == ["+1.00 taper", "+0.00 length"]
     # With one key alone a curve says it.
-    assert sweep_figures.sensitivity(rs.read(maker.folder).cases[::2])[1] == []
+    assert sweep_tables.sensitivity(rs.read(maker.folder).cases[::2])[1] == []
     # The page begins with the range of the first numbers and with what they depend on.
     page = sweep_report.run(maker.folder)[0][0].read_text()
     lead = page[page.index('"lead">') : page.index('class="summary"')]

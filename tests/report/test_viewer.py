@@ -53,7 +53,7 @@ def test_viewer_values_equal_those_of_files(run: Run) -> None:
 
     Places away from interfaces have none.
     """
-    head, data = viewer.packed(run)
+    head, data = viewer.packed_view(run)
     assert head["stages"] == ["half", "whole"]
     n = head["points"]["n"]
     x = unpacked(data, head["points"]["at"], 3 * n).reshape(-1, 3)
@@ -77,7 +77,7 @@ def test_viewer_differences_equal_those_of_files(stems: tuple[Run, Run]) -> None
     """Differences are drawn only on equal meshes."""
     run, rough = stems
     assert viewer.same_mesh(run, rough)
-    head, data = viewer.packed(rough, run)
+    head, data = viewer.packed_view(rough, run)
     assert head["signed"]
     shown_nodes = [t.ravel() for t in viewer.outsides(run, True).values()]
     nodes = np.unique(np.concatenate([*shown_nodes, run.cells[:, :4].ravel()]))
@@ -101,11 +101,11 @@ def test_viewer_surfaces_are_closed_and_oriented(run: Run) -> None:
 
 def test_viewer_reduces_points_of_large_pages(run: Run) -> None:
     """The page keeps corners alone, then the last stages alone."""
-    whole, data = viewer.packed(run)
-    head, less = viewer.packed(run, most_bytes=len(data) // 2)
+    whole, data = viewer.packed_view(run)
+    head, less = viewer.packed_view(run, most_bytes=len(data) // 2)
     assert head["points"]["n"] < whole["points"]["n"]
     assert len(less) < len(data) / 2
-    assert viewer.packed(run, most_bytes=len(data) // 20)[0]["stages"] == ["whole"]
+    assert viewer.packed_view(run, most_bytes=len(data) // 20)[0]["stages"] == ["whole"]
 
 
 @pytest.mark.skipif(not NEEDED, reason="libjs-three is missing")
@@ -320,7 +320,7 @@ def test_viewer_picture_says_that_pressures_are_means(
     def save(figure: Any, path: Path, dpi: int) -> None:
         labels.extend(axes.get_xlabel() for axes in figure.axes)
 
-    monkeypatch.setattr(pictures.figures, "save", save)
+    monkeypatch.setattr(pictures.figures, "save_figure", save)
     (figure,) = pictures.sides(run, tmp_path)
     of_stem = [label for label in labels if "on the stem" in label]
     means = ["largest mean at a node" in label for label in of_stem]
@@ -333,7 +333,7 @@ def test_viewer_motion_has_the_steps_between_stages(moving: Run) -> None:
 
     A small limit of bytes reduces their number.
     """
-    head, data = viewer.packed(moving, motion_bytes=viewer.MOTION)
+    head, data = viewer.packed_view(moving, motion_bytes=viewer.MOTION)
     assert head["ends"] == ["half", "whole"] and head["recorded"] == 8
     assert head["stages"][4] == "half" and head["stages"][-1] == "whole"
     assert head["stages"][:2] == ["half, 20 % (step 1)", "half, 40 % (step 2)"]
@@ -346,10 +346,10 @@ def test_viewer_motion_has_the_steps_between_stages(moving: Run) -> None:
         largest = 1e3 * np.linalg.norm(moving.on_points("stem_cement_slip", k), axis=1).max()
         assert slip["max"] == pytest.approx(largest)
         assert (fields["von_mises"][k] is None) == (k not in (4, 7))
-    less = viewer.packed(moving, motion_bytes=2 * n * 6 * 2)[0]["stages"]
+    less = viewer.packed_view(moving, motion_bytes=2 * n * 6 * 2)[0]["stages"]
     assert len(less) == 4
     assert [stage for stage in less if "step" not in stage] == ["half", "whole"]
-    assert viewer.packed(moving)[0]["stages"] == ["half", "whole"]
+    assert viewer.packed_view(moving)[0]["stages"] == ["half", "whole"]
 
 
 @pytest.mark.slow

@@ -30,8 +30,8 @@ def heat() -> dict[str, Any]:
 
 
 def test_closing_lines_have_every_number_of_heat() -> None:
-    assert list(closing_lines.lines({"interfaces": {}, "regions": {}, "stem": {}})) == []
-    lines = list(closing_lines.lines(heat()))
+    assert list(closing_lines.closing_tables({"interfaces": {}, "regions": {}, "stem": {}})) == []
+    lines = list(closing_lines.closing_tables(heat()))
     hottest = next(line for line in lines if line.startswith("bone"))
     assert "54.9 ± 1.6" in hottest and "52.0" in hottest
     sides = next(line for line in lines if line.startswith("cement_bone"))
@@ -45,7 +45,7 @@ def test_closing_lines_have_every_number_of_heat() -> None:
 
 
 def test_closing_lines_of_heat_alone_have_no_forces() -> None:
-    text = "\n".join(closing_lines.lines(heat()))
+    text = "\n".join(closing_lines.closing_tables(heat()))
     assert "von Mises" not in text and "contact" not in text
 
 
@@ -77,13 +77,13 @@ def test_closing_lines_headline_has_the_hottest_bone() -> None:
 
 
 def test_closing_lines_mark_numbers_that_are_not_resolved_with_a_star() -> None:
-    *table, legend = closing_lines.lines(moved())
+    *table, legend = closing_lines.closing_tables(moved())
     row = next(line for line in table if line.startswith("stem_cement"))
     assert "34.6 ± 39.1*" in row and "not resolved" not in row
     assert legend == closing_lines.LEGEND
     summary = moved()
     del summary["interfaces"]["stem_cement"]["motion_p99_error"]
-    assert closing_lines.LEGEND not in closing_lines.lines(summary)
+    assert closing_lines.LEGEND not in closing_lines.closing_tables(summary)
 
 
 def test_closing_lines_name_a_stem_only_where_there_is_one() -> None:

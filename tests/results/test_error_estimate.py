@@ -36,7 +36,7 @@ def case(*overrides: str) -> Case:
 def compared(run: dict[str, Any], this: Case, *others: dict[str, Any]) -> dict[str, Any]:
     """The estimate of a run from the numbers of its first companions."""
     companions = error_estimate.companions(this)[: len(others)]
-    return error_estimate.estimate(run, this, list(zip(companions, others, strict=True)))
+    return error_estimate.add_error_estimates(run, this, list(zip(companions, others, strict=True)))
 
 
 def modelled(run: dict[str, Any], this: Case, model: Any) -> dict[str, Any]:
@@ -182,12 +182,17 @@ def test_error_estimate_compares_maxima_on_solved_meshes() -> None:
         return {"interfaces": {"lower_upper": {"pressure_max": value}}}
 
     expected = {"lower_upper.pressure_max": [[1.0, 9.0], [3.0, 4.0]]}
-    assert error_estimate.estimate(run, this, [(coarser, on(4.0))]) == expected
-    assert error_estimate.estimate(run, this, [(finer, on(None)), (coarser, on(4.0))]) == expected
-    assert error_estimate.estimate(run, this, [(finer, {}), (coarser, on(4.0))]) == expected
+    assert error_estimate.add_error_estimates(run, this, [(coarser, on(4.0))]) == expected
+    assert (
+        error_estimate.add_error_estimates(run, this, [(finer, on(None)), (coarser, on(4.0))])
+        == expected
+    )
+    assert (
+        error_estimate.add_error_estimates(run, this, [(finer, {}), (coarser, on(4.0))]) == expected
+    )
     steps = error_estimate.Companion(this, 1.0, 0.5)
-    assert error_estimate.estimate(run, this, [(steps, on(4.0))]) == {}
-    assert error_estimate.estimate(run, this, []) == {}
+    assert error_estimate.add_error_estimates(run, this, [(steps, on(4.0))]) == {}
+    assert error_estimate.add_error_estimates(run, this, []) == {}
 
 
 def test_error_estimate_raises_accidentally_small_errors() -> None:
@@ -311,7 +316,7 @@ def test_error_estimate_of_steps_on_one_coarser_mesh() -> None:
     first = error_estimate.companions(this)[0]
     half = error_estimate.Companion(first.case, 5 / 3, 0.5)
     run = numbers(1e-9, 8, 2)
-    error_estimate.estimate(run, this, [(half, numbers(1e-9, 4, 2))])
+    error_estimate.add_error_estimates(run, this, [(half, numbers(1e-9, 4, 2))])
     assert 0.5 < run["interfaces"]["lower_upper"]["slip_p99_error"] / (0.02 / 8) < 3
 
 

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from app.foundation.arrays import Floats, Ints
 from app.interfaces.interface_facets import InterfaceFacets
 from app.results.interface_numbers import LATTICE, gaps
-from meshes.facets import shape_functions, surface
+from meshes.facets import facet_shape_functions, normals_and_areas
 from tests.support import STEM, Solved, solve
 
 MIDDLES = ((1, 2), (0, 2), (0, 1))
@@ -82,14 +82,14 @@ def distances(s: Solved, i: int) -> Floats:
         rest + np.array([moved[b][d] for b, d in zip(body[rows], dofs, strict=True)])
         for body in facets.bodies.T
     )
-    points = np.einsum("qn,fni->fqi", shape_functions(LATTICE, 6), slave).reshape(-1, 3)
+    points = np.einsum("qn,fni->fqi", facet_shape_functions(LATTICE, 6), slave).reshape(-1, 3)
     a, b = np.meshgrid(np.linspace(0, 1, 101), np.linspace(0, 1, 101))
     fine = np.column_stack([(1 - a - b).ravel(), a.ravel(), b.ravel()])[(a + b).ravel() < 1 + 1e-9]
     outwards = np.sign(
-        np.einsum("fi,fi->f", surface(rest, fine[:1])[0][:, 0], facets.normal[rows, 0])
+        np.einsum("fi,fi->f", normals_and_areas(rest, fine[:1])[0][:, 0], facets.normal[rows, 0])
     )
-    normals = (surface(master, fine)[0] * outwards[:, None, None]).reshape(-1, 3)
-    dense = np.einsum("qn,fni->fqi", shape_functions(fine, 6), master).reshape(-1, 3)
+    normals = (normals_and_areas(master, fine)[0] * outwards[:, None, None]).reshape(-1, 3)
+    dense = np.einsum("qn,fni->fqi", facet_shape_functions(fine, 6), master).reshape(-1, 3)
     _, nearest = cKDTree(dense).query(points)
     return np.einsum("pi,pi->p", points - dense[nearest], normals[nearest])
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.results.level_sets import positive_fraction
-from meshes.nearest_facets import distance
+from meshes.nearest_facets import distance_from_triangles
 
 
 def test_level_sets_part_of_a_tetrahedron() -> None:
@@ -40,7 +40,9 @@ def test_level_sets_distance_from_a_triangle() -> None:
     points = np.array(
         [[1, 1, 2], [1, -1, 0], [-3, -4, 0], [3, 3, 0], [1, 1, -0.5], [5, 0, 0]], float
     )
-    assert distance(points, triangle) == pytest.approx([2, 1, 5, 1.5 * 2**0.5, 0.5, 2])
+    assert distance_from_triangles(points, triangle) == pytest.approx(
+        [2, 1, 5, 1.5 * 2**0.5, 0.5, 2]
+    )
 
 
 def test_level_sets_distance_from_a_surface() -> None:
@@ -50,4 +52,4 @@ def test_level_sets_distance_from_a_surface() -> None:
     flat = np.concatenate([np.stack(t, axis=2).reshape(-1, 3, 2) for t in ((a, b, c), (a, c, d))])
     triangles = np.concatenate([flat, np.zeros((*flat.shape[:2], 1))], axis=2)
     points = np.random.default_rng(7).uniform(0, n, (200, 3))
-    assert distance(points, triangles) == pytest.approx(points[:, 2])
+    assert distance_from_triangles(points, triangles) == pytest.approx(points[:, 2])

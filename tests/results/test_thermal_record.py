@@ -196,7 +196,7 @@ def test_thermal_record_doses_after_a_warm_steady_state(
     for summary in (hot, later):
         assert any(k.startswith(doses) for r in summary["regions"].values() for k in r) == known
         assert ("note" in summary) == (not known)
-        lines = list(closing_lines.lines({"thermal": summary}))
+        lines = list(closing_lines.closing_tables({"thermal": summary}))
         assert any(line.startswith("dead bone") for line in lines) == known
         assert any("steady" in line for line in lines) == (not known)
     if known:

@@ -187,7 +187,7 @@ def test_verdicts_on_heat_alone() -> None:
 def test_verdicts_are_read_as_recorded() -> None:
     numbers = summary(balance={"force": 1e-3, "moment": 0.0, "energy": 0.0})
     remark = note("is it in per cent?", "interfaces.a", "expected 0 to 1.5")
-    verdicts.record(numbers, [remark])
+    verdicts.record_verdicts(numbers, [remark])
     assert recorded(numbers) == [*verdicts.of_numbers(numbers), remark]
     assert verdicts.notes_of(numbers) == ["interfaces.a: is it in per cent?; expected 0 to 1.5"]
     assert verdicts.reasons_not_to_use(numbers) == [

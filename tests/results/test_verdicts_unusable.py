@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import mantle
-from app.case.case import load
+from app.case.case import load_case
 from app.cli import main
 from app.foundation.errors import UnusableError
 from app.results.verdicts import UNUSABLE, unbalanced
@@ -50,7 +50,7 @@ def test_verdicts_unusable_run_has_status_and_exit_code(
     q = summary["interfaces"]["low_high"]
     assert q["slip_max"] > q["facet_size"]
     with pytest.raises(UnusableError, match="slip: larger than a facet on low_high"):
-        mantle.run(load(case, [FAR]), folder, force=True)
+        mantle.run(load_case(case, [FAR]), folder, force=True)
     assert main(["run", str(case), "-o", str(tmp_path / "near")]) == 0
 
 

@@ -30,7 +30,7 @@ from app.case import fit as fit_file
 from app.case import gmsh_header
 from app.case import study as study_file
 from app.case import sweep as sweep_file
-from app.case.case import dump, load
+from app.case.case import dump, load_case
 from app.foundation.errors import InputError
 from app.schema import yaml_file
 from app.schema.units import registry
@@ -204,10 +204,14 @@ def read(path: Path, overrides: list[str]) -> None:
     elif "fit" in data or path.parent.name == "fits":
         fit_file.read(path, overrides)
     else:
-        loaded = load(path, overrides)
+        loaded = load_case(path, overrides)
         case = loaded.config
-        text = preview.describe(case, loaded.file.data) + cost.estimated_size(case)
-        text += "".join(map(str, preview.input_notes(case))) + dump(case) + str(cost.seconds(case))
+        text = preview.case_in_words(case, loaded.file.data) + cost.estimated_size(case)
+        text += (
+            "".join(map(str, preview.input_notes(case)))
+            + dump(case)
+            + str(cost.estimated_seconds(case))
+        )
         text.encode()
 
 

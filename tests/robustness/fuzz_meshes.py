@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import meshes
-from app.case.case import load
+from app.case.case import load_case
 from app.foundation.errors import GeometryError, InputError
 from meshes.gmsh_session import session
 from tests.robustness.fuzz import search
@@ -97,7 +97,7 @@ def damaged(rng: random.Random, raw: bytes) -> bytes:
 def read(path: Path) -> str:
     """Mesh a case with a damaged file; return the fault of the outcome."""
     try:
-        case = load(path).config
+        case = load_case(path).config
         meshes.build(case.geometry, case.mesh, None)
     except (InputError, GeometryError) as error:
         return "" if str(error).strip() else "says nothing"

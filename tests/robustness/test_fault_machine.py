@@ -38,7 +38,7 @@ def test_fault_machine_limits_do_not_use_the_wall_clock() -> None:
 def test_fault_machine_memory_errors_are_named() -> None:
     full = OSError(12, "Cannot allocate memory")
     for error in (MemoryError(), full, Exception("std::bad_alloc")):
-        explained = memory.explain(error)
+        explained = memory.error_without_memory(error)
         assert isinstance(explained, EnvironmentProblem) and "not enough memory" in str(explained)
     try:
         try:
@@ -46,10 +46,10 @@ def test_fault_machine_memory_errors_are_named() -> None:
         except MemoryError as error:
             raise ValueError("else") from error
     except ValueError as error:
-        assert "the factors of 10 unknowns" in str(memory.explain(error))
+        assert "the factors of 10 unknowns" in str(memory.error_without_memory(error))
     circular = ValueError("x")
     circular.__cause__ = circular
-    assert memory.explain(circular) is None
+    assert memory.error_without_memory(circular) is None
 
 
 def test_fault_machine_too_little_memory_for_any_case(tmp_path: Path) -> None:
@@ -129,7 +129,7 @@ import sys, time
 from pathlib import Path
 from app.system import form_cache
 form, folder = sys.argv[1], Path(sys.argv[2])
-form_cache._find(lambda *_: (folder / f"{form}.c").touch(), form, [], folder, 10)
+form_cache._get_or_lock(lambda *_: (folder / f"{form}.c").touch(), form, [], folder, 10)
 print("compiling", flush=True)
 time.sleep(60)
 """
@@ -144,7 +144,9 @@ def test_fault_machine_waits_for_a_running_compilation(tmp_path: Path) -> None:
         existed[name] = (folder / f"{name}.c").exists()
 
     def find(name: str) -> None:
-        form_cache._compile(lambda: form_cache._find(get, name, [], tmp_path, 10))
+        form_cache._compile_then_unlock(
+            lambda: form_cache._get_or_lock(get, name, [], tmp_path, 10)
+        )
 
     child = support.started("-c", WAITING, form, tmp_path)
     assert child.stdout is not None and child.stdout.readline() == "compiling\n"
@@ -156,7 +158,7 @@ def test_fault_machine_waits_for_a_running_compilation(tmp_path: Path) -> None:
     child.communicate()
     waiter.join(10)
     find(other)
-    assert existed == {form: False, other: False} and not form_cache._compiling
+    assert existed == {form: False, other: False} and not form_cache._locks
 
 
 @pytest.mark.slow

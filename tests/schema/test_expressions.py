@@ -7,7 +7,7 @@ import pytest
 from pydantic_core import PydanticCustomError
 
 from app.foundation.errors import InputError
-from app.schema.expressions import Varying, evaluate
+from app.schema.expressions import Varying, values_at_points
 from app.schema.units import Dimension, Part
 
 POINTS = np.random.default_rng(1).uniform(0.5, 2.0, (7, 3))
@@ -29,7 +29,7 @@ POINTS = np.random.default_rng(1).uniform(0.5, 2.0, (7, 3))
     ],
 )  # fmt: skip
 def test_expressions_are_evaluated(expression: str, expected: object) -> None:
-    values = evaluate(expression, POINTS)
+    values = values_at_points(expression, POINTS)
     assert values.shape == (7,)
     np.testing.assert_allclose(values, expected(*POINTS.T), rtol=1e-14)  # type: ignore[operator]
 
@@ -60,7 +60,7 @@ def test_expressions_are_evaluated(expression: str, expected: object) -> None:
 )
 def test_expressions_are_refused(expression: str, reason: str) -> None:
     with pytest.raises(InputError, match=reason):
-        evaluate(expression, POINTS)
+        values_at_points(expression, POINTS)
 
 
 @pytest.mark.parametrize("kind", [Part(), Dimension("mm", "a length", "0.05 mm")])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from app.case.case import load
+from app.case.case import load_case
 from tests import support
 
 
@@ -19,4 +19,4 @@ def test_yaml_file_is_of_version_1_2(two_blocks: str) -> None:
 def test_yaml_file_with_byte_order_mark_and_windows_lines(tmp_path: Path, two_blocks: str) -> None:
     path = tmp_path / "case.yaml"
     path.write_bytes(b"\xef\xbb\xbf" + two_blocks.replace("\n", "\r\n").encode())
-    assert load(path).config == support.case(two_blocks)
+    assert load_case(path).config == support.case(two_blocks)

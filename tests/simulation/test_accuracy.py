@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from app.case.case import Case, load
+from app.case.case import Case, load_case
 from app.case.quantities import ORDER_OF_MOTION
 from app.cli import main
 from app.foundation.errors import InputError
@@ -47,8 +47,8 @@ def test_accuracy_chooses_the_cheapest_mesh_within_limits(monkeypatch: pytest.Mo
     best, reason, solved = chosen(0.4, 0.3, walltime=8.0)
     assert reason.endswith("; a walltime of 8.0 s allows no finer mesh)")
     assert "(5 % exp" not in reason
-    assert all(2 * cost.seconds(c) <= 8 for c in (best, *solved))
-    monkeypatch.setattr(memory, "available", lambda: 5e8)
+    assert all(2 * cost.estimated_seconds(c) <= 8 for c in (best, *solved))
+    monkeypatch.setattr(memory, "available_memory", lambda: 5e8)
     best, reason, solved = chosen(0.4, 0.3)
     assert reason.endswith("; 0.5 GB of memory allow no finer mesh)")
     assert all(1.5 * memory.needed(c) <= 5e8 for c in (best, *solved))
@@ -66,7 +66,7 @@ def test_accuracy_is_refused(tmp_path: Path) -> None:
             why = "'5 mm' is not a number"
         (tmp_path / "case.yaml").write_text(ASKED.replace(*change))
         with pytest.raises(InputError, match=rf"case.yaml:\d+:\d+: output.accuracy: {why}"):
-            load(tmp_path / "case.yaml")
+            load_case(tmp_path / "case.yaml")
 
 
 def test_accuracy_reached_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -81,6 +81,6 @@ def test_accuracy_reached_is_reported(tmp_path: Path, capsys: pytest.CaptureFixt
         least = 0.1 * max(numbers[key] for key in keys)
         shares += [numbers[f"{key}_error"] / max(numbers[key], least) for key in keys]
     assert f"{100 * max(shares):.2g} % reached (largest error: lower upper" in summary["accuracy"]
-    mesh = load(out / "case.yaml").config.mesh
+    mesh = load_case(out / "case.yaml").config.mesh
     assert f"target of 40 %: {mesh.size:g} mm at order {mesh.order} (" in summary["accuracy"]
     assert summary["accuracy"] in capsys.readouterr().out

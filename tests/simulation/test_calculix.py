@@ -13,7 +13,7 @@ import pytest
 
 import mantle
 import meshes
-from app.case.case import load
+from app.case.case import load_case
 from app.case.geometries import MeshFile, MeshOptions
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
@@ -56,7 +56,7 @@ stages: [{name: press, increments: 4}, {name: squeeze}]
 def deck(folder: Path, text: str) -> tuple[str, meshes.MeshData]:
     path = folder / "case.yaml"
     path.write_text(text)
-    case = load(path)
+    case = load_case(path)
     data = mantle.mesh(case)
     calculix.write(case, data, folder / "case.inp")
     return (folder / "case.inp").read_text(), data
@@ -187,7 +187,7 @@ def solved_by_calculix(folder: Path, changes: str) -> tuple[support.Solved, Floa
     subprocess.run(["ccx", "case"], cwd=folder, check=True, stdout=subprocess.DEVNULL)
     table = re.split(r"^ -4  DISP.*\n", (folder / "case.frd").read_text(), flags=re.M)[-1]
     lines = [line for line in table.partition("\n -3")[0].splitlines() if line[:3] == " -1"]
-    solved = support.solve(load(folder / "case.yaml").config)
+    solved = support.solve(load_case(folder / "case.yaml").config)
     p = solved.problem
     u = hip.nodal_displacements(p)
     of_cell = p.bodies.body_of_tag[bodies.cell_tags(p.tagged)][:, None]

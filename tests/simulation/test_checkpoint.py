@@ -17,7 +17,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from app.case.case import load
+from app.case.case import load_case
 from app.cli import main
 from app.foundation.errors import InputError
 from app.numerics.saved_state import Rows
@@ -95,8 +95,8 @@ def copied(folder: Path, to: Path) -> Path:
 
 
 def choose(out: Path, folder: Path, wanted: str = "auto", force: bool = False) -> Path | None:
-    case = load(folder / "case.yaml", [FIELDS]).config
-    chosen = checkpoint.find(COMM, wanted, out, case, force)
+    case = load_case(folder / "case.yaml", [FIELDS]).config
+    chosen = checkpoint.checkpoint_to_resume(COMM, wanted, out, case, force)
     return chosen and chosen.path
 
 
@@ -187,13 +187,18 @@ def test_checkpoint_restart_is_reported(
 
 
 def test_checkpoint_time_spans() -> None:
-    assert stopping.seconds("2:00:00") == 7200
-    assert stopping.seconds("30:05") == 1805
-    assert stopping.seconds("1-1:00:00") == 90000
-    assert [stopping.seconds(t) for t in ("2 h", "1.5h", "90 min", "7 s")] == [7200, 5400, 5400, 7]
+    assert stopping.seconds_of_duration("2:00:00") == 7200
+    assert stopping.seconds_of_duration("30:05") == 1805
+    assert stopping.seconds_of_duration("1-1:00:00") == 90000
+    assert [stopping.seconds_of_duration(t) for t in ("2 h", "1.5h", "90 min", "7 s")] == [
+        7200,
+        5400,
+        5400,
+        7,
+    ]
     for wrong in ("", "5", "2 x", "0 s", "1:2:3", "0:00"):
         with pytest.raises(InputError, match="walltime"):
-            stopping.seconds(wrong)
+            stopping.seconds_of_duration(wrong)
 
 
 LONG = ["--set", "stages.1.increments=400", "--set", FIELDS]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.case.case import load
+from app.case.case import load_case
 from app.foundation.errors import StoppedError
 from app.results.reading import Run
 from app.simulation import accuracy
@@ -17,7 +17,7 @@ from app.simulation import model as models
 from app.simulation.session import run
 from app.system.folders import saved
 from tests import support
-from tests.cases import coupled, nested_stem, restarted, worn_ball
+from tests.cases import coarse_start_stem, coupled, restarted, worn_ball
 from tests.cases.blocks import REMODELLED, TORN
 from tests.cases.shipped import COARSE
 from tests.cases.stems import CREEPING, SETTING
@@ -143,11 +143,11 @@ def test_session_restart_from_every_checkpoint(tmp_path: Path, name: str) -> Non
 def test_session_restart_with_nested_starts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name, value in nested_stem.ALWAYS.items():
+    for name, value in coarse_start_stem.ALWAYS.items():
         monkeypatch.setattr(models, name, value)
-    options = (FIELDS, *nested_stem.TURNS)
-    case, files = restarted.whole(nested_stem.STEM, tmp_path, *options)
-    # Before the turn, which is where a cheaper model is asked.
+    options = (FIELDS, *coarse_start_stem.TURNS)
+    case, files = restarted.whole(coarse_start_stem.STEM, tmp_path, *options)
+    # Before the turn, which is where a coarse model is asked.
     part = restarted.on(case, tmp_path, files[0], *options)
     # Loads of 900 N are balanced to 1e-7 N.
     restarted.assert_same(tmp_path / "whole", part, nothing=1e-7)
@@ -204,11 +204,11 @@ def test_session_restart_after_interrupted_companions(
     out.mkdir()
     monkeypatch.setattr(accuracy, "add_errors", interrupted)
     with pytest.raises(StoppedError, match="in its companions"):
-        run(load(case, options), out)
+        run(load_case(case, options), out)
     assert saved(out) and not (out / "DONE").exists()
     stop.clear()
     monkeypatch.setattr(accuracy, "add_errors", errors)
-    run(load(case, options), out, restart="auto")
+    run(load_case(case, options), out, restart="auto")
     restarted.assert_same(tmp_path / "whole", out)
     assert restarted.numbers(out)[".error.companions.0"]
 
@@ -235,7 +235,7 @@ def test_session_restart_appends_fields_to_their_file(tmp_path: Path) -> None:
         assert list(part.times) == list(whole.times[-left:])
         assert np.allclose(part.displacement(), before[-1], rtol=1e-6, atol=1e-9)
     # Whatever was written after the checkpoint is written again.
-    run(load(case), tmp_path / "whole", restart=str(files[2]))
+    run(load_case(case), tmp_path / "whole", restart=str(files[2]))
     again = Run(tmp_path / "whole")
     assert list(again.times) == list(whole.times)
     for k, u in enumerate(before):

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from app.soundness import well_posedness
-from app.soundness.bodies_on_mesh import gaps_of, groups_of
+from app.soundness.bodies_on_mesh import gaps_of, pieces_of_groups
 from tests import support
 from tests.soundness.judged import TWO
 from tests.support import build
@@ -19,7 +19,7 @@ def test_bodies_on_mesh_only_bonded_interfaces_join_bodies() -> None:
     parts = well_posedness.mesh_parts(case, build(case))
     law = SimpleNamespace(can_open=True, gap_field=lambda *_: lambda x: np.full(len(x), 0.1))
     opens = case.model_copy(update={"interfaces": {"bone_metal": law}})
-    assert len(groups_of(opens, parts)) == 2
+    assert len(pieces_of_groups(opens, parts)) == 2
     assert np.allclose(gaps_of(opens, parts)["bone_metal"], 0.1)
     holds = case.model_copy(update={"interfaces": {"bone_metal": SimpleNamespace(can_open=False)}})
-    assert len(groups_of(holds, parts)) == 1
+    assert len(pieces_of_groups(holds, parts)) == 1

@@ -12,7 +12,7 @@ import pytest
 
 from app.foundation.errors import ConvergenceError
 from app.numerics.newton import ActiveSet
-from app.soundness.loose_bodies import pulled_off
+from app.soundness.floating_bodies_of_state import texts_of_pulled_bodies
 from tests import support
 from tests.soundness.judged import TWO
 from tests.support import CONFIGS
@@ -84,7 +84,7 @@ def test_failure_body_held_by_friction_is_not_lifted(push: float, held: bool) ->
     problem, _ = support.assemble(support.case(TWO, aside))
     problem.set_time(1.0)
     assert problem.contact
-    reasons = pulled_off(problem, problem.contact)
+    reasons = texts_of_pulled_bodies(problem, problem.contact)
     assert held == (not reasons) and all(
         "'metal': it is free to move along x," in f for f in reasons
     )

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from app.case import overlay
-from app.case.case import load, resolve
+from app.case.case import load_case, resolve
 from app.cli import main
 from app.foundation.errors import InputError
 from app.soundness import cost, memory
@@ -33,27 +33,27 @@ def test_memory_refuses_a_mesh_of_a_nanometre(
 
 
 def test_memory_suggested_size_fits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(memory, "available", lambda: 8e9)
+    monkeypatch.setattr(memory, "available_memory", lambda: 8e9)
     file = overlay.read(BLOCKS, ["mesh.size=1e-3 mm"])
     with pytest.raises(InputError) as caught:
         memory.check(file, resolve(file, BLOCKS.parent))
     size = str(caught.value).split("; ")[-1].removesuffix(" fits into the memory")
-    case = load(BLOCKS, [f"mesh.size={size}"]).config
+    case = load_case(BLOCKS, [f"mesh.size={size}"]).config
     assert 0.5 * 8e9 < memory.needed(case) <= 8e9
-    assert cost.unknowns(case) > 1e5
+    assert cost.estimated_unknowns(case) > 1e5
 
 
 @pytest.mark.parametrize("option", ["around=900", "around=0.06 mm", "along=0.01 mm"])
 def test_memory_suggested_lines_and_steps_fit(option: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The key that makes the mesh too large is refused, with a value that fits."""
-    monkeypatch.setattr(memory, "available", lambda: 8e9)
+    monkeypatch.setattr(memory, "available_memory", lambda: 8e9)
     path, key = CONFIGS / "stance.yaml", option.split("=")[0]
     file = overlay.read(path, [f"mesh.{option}"])
     with pytest.raises(InputError, match=rf"mesh\.{key}: .* fits into the memory") as caught:
         memory.check(file, resolve(file, CONFIGS))
     hint = str(caught.value).split("; ")[-1]
     fits = hint.removesuffix(" fits into the memory").removesuffix(" lines")
-    assert 0.5 * 8e9 < memory.needed(load(path, [f"mesh.{key}={fits}"]).config) <= 8e9
+    assert 0.5 * 8e9 < memory.needed(load_case(path, [f"mesh.{key}={fits}"]).config) <= 8e9
 
 
 PERIMETER = "the section of the stem has a perimeter of 43.2 mm; expected 0.043 to 10.8 mm"
@@ -72,7 +72,7 @@ PERIMETER = "the section of the stem has a perimeter of 43.2 mm; expected 0.043 
 )
 def test_memory_refuses_too_many_lines(option: str, why: str) -> None:
     with pytest.raises(InputError, match=rf"--set mesh\.{option.split('=')[0]}: {why}"):
-        load(CONFIGS / "stance.yaml", [f"mesh.{option}"])
+        load_case(CONFIGS / "stance.yaml", [f"mesh.{option}"])
 
 
 def test_memory_without_a_size_that_fits() -> None:
@@ -89,7 +89,7 @@ def test_memory_without_a_size_that_fits() -> None:
     [{"SLURM_NNODES": "4"}, {"OMPI_COMM_WORLD_SIZE": "8", "OMPI_COMM_WORLD_LOCAL_SIZE": "2"}],
 )
 def test_memory_of_several_machines(environ: dict[str, str]) -> None:
-    assert memory.available(environ) == 4 * memory.available({})
+    assert memory.available_memory(environ) == 4 * memory.available_memory({})
 
 
 # What /proc/self/cgroup holds, and the limits below /sys/fs/cgroup, as systemd, Slurm and Docker
@@ -124,4 +124,4 @@ def test_memory_limit_of_the_process_group(
         (tmp_path / file).write_text(limit if limit == "max" else f"{float(limit):.0f}\n")
     monkeypatch.setattr(memory, "OWN_GROUPS", tmp_path / "cgroup")
     monkeypatch.setattr(memory, "GROUPS", tmp_path)
-    assert memory.available({}) == 2e9
+    assert memory.available_memory({}) == 2e9

@@ -15,7 +15,7 @@ def test_mesh_notes_on_the_cement() -> None:
         "plug_volume": 1238.4,
         "cortex_min": 2.017,
     }
-    assert list(mesh_notes.lines({"mantle": note})) == [
+    assert list(mesh_notes.lines_of_mesh_notes({"mantle": note})) == [
         "cement mantle: 1.59 to 4.81 mm thick (given: 4 mm), mean 3.05, median 2.95, "
         "5th and 95th percentile 1.80 and 4.08 mm; the canal makes it thinner on 61 % of the stem; "
         "20,070 mm³ of cement, 1,238 of them below the stem",
@@ -32,12 +32,12 @@ def test_mesh_notes_on_layers() -> None:
         "moved_nodes": 0.4214,
         "moved_max_mm": 0.333,
     }
-    assert list(mesh_notes.lines({"layers": note})) == [
+    assert list(mesh_notes.lines_of_mesh_notes({"layers": note})) == [
         "layers: 36 lines around, 44 steps along, 2, 2, 1 cells through the layers from inside; "
         "the thinnest layer has 0.09 mm; 42 % of their nodes were moved to keep layers thick "
         "enough, by at most 0.33 mm"
     ]
-    (line,) = mesh_notes.lines({"layers": note | {"moved_nodes": 0.0}})
+    (line,) = mesh_notes.lines_of_mesh_notes({"layers": note | {"moved_nodes": 0.0}})
     assert line.endswith("; no node had to be moved")
 
 
@@ -57,7 +57,7 @@ def test_mesh_notes_on_quality_and_sizes() -> None:
         "interface_areas_mm2": {},
         "messages": ["a note of the run"],
     }
-    assert list(mesh_notes.lines(notes)) == [
+    assert list(mesh_notes.lines_of_mesh_notes(notes)) == [
         "centre of the stem's head: (43, 0, 58.6) mm",
         "quality (SICN; 1 is a regular tetrahedron): median 0.36, least 0.03 (stem 0.07, cement "
         "0.08); 1,289 of 39,466 cells have less than 0.1",
@@ -66,4 +66,4 @@ def test_mesh_notes_on_quality_and_sizes() -> None:
 
 
 def test_mesh_notes_of_other_meshers_are_listed() -> None:
-    assert list(mesh_notes.lines({"seed_points": 12})) == ["seed points: 12"]
+    assert list(mesh_notes.lines_of_mesh_notes({"seed_points": 12})) == ["seed points: 12"]

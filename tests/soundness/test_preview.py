@@ -10,7 +10,7 @@ import pytest
 
 import mantle
 import meshes
-from app.case.case import Case, load
+from app.case.case import Case, load_case
 from app.soundness import preview
 from tests import support
 from tests.soundness.judged import TWO, judged
@@ -156,9 +156,9 @@ def test_preview_notes_moduli_wrong_by_a_thousand(change: str) -> None:
 @pytest.mark.parametrize("force", ["1.8 N", "1800 kN"])
 def test_preview_notes_forces_wrong_by_a_thousand(force: str) -> None:
     path = CONFIGS / "stance.yaml"
-    changes = [f"loads.{n}.history=[0]" for n in load(path).config.loads if n != "hip"]
+    changes = [f"loads.{n}.history=[0]" for n in load_case(path).config.loads if n != "hip"]
     change = f'loads.hip.force="[0, 0, -{force.replace(" ", "] ", 1)}"'
-    note = preview.input_notes(load(path, [*changes, change]).config)[0].text
+    note = preview.input_notes(load_case(path, [*changes, change]).config)[0].text
     assert "N; is the unit wrong?" in note
 
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 import meshes
-from app.case.case import Case, load
+from app.case.case import Case, load_case
 from app.cli import main
 from app.foundation.errors import GeometryError, InputError
 from app.simulation.model import Model
 from app.soundness import preview, well_posedness
-from app.soundness.bodies_on_mesh import BodiesOnMesh, groups_of
+from app.soundness.bodies_on_mesh import BodiesOnMesh, pieces_of_groups
 from app.system.timing import Timing
 from meshes.data import MeshData
 from tests import support
@@ -88,7 +88,7 @@ SHIPPED = sorted(
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_well_posedness_shipped_cases_have_only_expected_notes(name: str) -> None:
-    case = load(CONFIGS / f"{name}.yaml").config
+    case = load_case(CONFIGS / f"{name}.yaml").config
     # Meshes of these are made where they are run, in tests/command_line/test_run.py.
     large = case.geometry.kind in ("femur", "intact_femur") or name == "bench/stem"
     notes = [v.text for v in preview.input_notes(case)]
@@ -129,31 +129,31 @@ def test_well_posedness_frictionless_pin_and_taper(order: int) -> None:
     assert len(turning) == 1 and "body 'stem': it is free to rotate about z:" in turning[0]
     rough = "interfaces.stem_cement.friction_coefficient=0.1"
     assert not [n for n in judged(PIN, chosen, rough) if "holds body" in n]
-    loose = "supports={base: {kind: fixed, boundary: bone_bottom}}"
-    (note,) = [n for n in judged(PIN, chosen, loose, "geometry.taper=1.5 deg") if "holds" in n]
+    barely = "supports={base: {kind: fixed, boundary: bone_bottom}}"
+    (note,) = [n for n in judged(PIN, chosen, barely, "geometry.taper=1.5 deg") if "holds" in n]
     assert (
         "'stem': it is free to move along z and to rotate about z: contact on 'stem_cement'" in note
     )
-    (note,) = [n for n in judged(PIN, chosen, loose, "geometry.taper=6 deg") if "holds" in n]
+    (note,) = [n for n in judged(PIN, chosen, barely, "geometry.taper=6 deg") if "holds" in n]
     assert "'stem': it is free to rotate about z:" in note  # the cone is steep enough
 
 
-def test_well_posedness_refuses_a_loose_body(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_well_posedness_refuses_a_floating_body(monkeypatch: pytest.MonkeyPatch) -> None:
     """A crack parts a block from the one below, though its interface is bonded.
 
     A run refuses the case in the same words, before it factorizes a singular matrix.
     """
     case = support.case(TWO, "interfaces={}")
     parts = well_posedness.mesh_parts(case, build(case))
-    assert len(groups_of(case, parts)) == 1
+    assert len(pieces_of_groups(case, parts)) == 1
     data = torn(build(case), case, "bone_metal")
     cracked = well_posedness.mesh_parts(case, data)
-    assert len(groups_of(case, cracked)) == 2
+    assert len(pieces_of_groups(case, cracked)) == 2
     with pytest.raises(InputError) as caught:
         well_posedness.check_on_mesh(case, cracked)
     apart, crack = caught.value.messages
     assert apart.startswith("interfaces.bone_metal: no facet between bone and metal; ")
-    error = BodiesOnMesh(case, cracked).unheld()[0].text
+    error = BodiesOnMesh(case, cracked).errors_of_floating()[0].text
     assert error.startswith(
         "supports: nothing holds body 'metal': it is free to move along x, y, z and to rotate "
         "about x, y, z, by a support"
@@ -178,7 +178,7 @@ def test_well_posedness_refuses_a_free_rotation() -> None:
         well_posedness.check_on_mesh(case, held)
 
 
-def test_well_posedness_names_a_loose_piece() -> None:
+def test_well_posedness_names_a_floating_piece() -> None:
     case = support.case(TWO)
     data = build(case)
     far = replace(

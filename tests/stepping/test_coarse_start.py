@@ -1,4 +1,4 @@
-"""Starts from a cheaper model: equal results, failures, interpolation of jumps."""
+"""Starts from a coarse model: equal results, failures, interpolation of jumps."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from app.stepping import coarse_start, load_steps
 from app.system.timing import Timing
 from meshes.nearest_facets import nearest
 from tests import support
-from tests.cases.nested_stem import ALWAYS, STEM, TURNS, go
+from tests.cases.coarse_start_stem import ALWAYS, STEM, TURNS, go
 
 AT_FIRST = ("mesh.order=2", "solver.linear=multigrid", "mesh.size=4 mm", "mesh.far_size=4 mm")
 # A support that gives jumps: it holds stem and cement where they meet, and moves.
@@ -39,7 +39,7 @@ supports:
 
 
 def always(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Start from a cheaper model although this one is small."""
+    """Start from a coarse model although this one is small."""
     for name, value in ALWAYS.items():
         monkeypatch.setattr(models, name, value)
 
@@ -50,7 +50,7 @@ def states(model: Model) -> Any:
     return np.array([v / np.abs(v).max() for v in (j.state.jump, j.state.force)])
 
 
-# From a cheaper model
+# From a coarse model
 
 
 @pytest.mark.parametrize("overrides", [(), TURNS, (*TURNS, SIDES), (*AT_FIRST, *TURNS)])
@@ -73,7 +73,7 @@ def test_coarse_start_changes_iterations_but_not_results(
 
 
 def test_coarse_start_is_reused_by_the_companion(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A companion on the mesh of the cheaper model continues from its states, to its tolerance."""
+    """A companion on the mesh of the coarse model continues from its states, to its tolerance."""
     always(monkeypatch)
     monkeypatch.setattr(models, "TOLERANCE", 1e-2)
     model, _ = go()
@@ -122,12 +122,12 @@ def test_coarse_start_only_for_large_models_with_contact(monkeypatch: pytest.Mon
         (11.0, 1, 100_000, None),
     ],
 )
-def test_coarse_start_cheaper_models(
+def test_coarse_start_coarse_cases(
     size: float, order: int, unknowns: int, expected: tuple[float, int] | None
 ) -> None:
     text = support.CONFIGS.joinpath("stance.yaml").read_text()
     case = support.case(text, f"mesh.size={size} mm", f"mesh.order={order}")
-    other = models.cheaper(case, unknowns)
+    other = models.coarse_case(case, unknowns)
     assert (other and (other.mesh.size, other.mesh.order)) == expected
     if other is not None:
         assert other.mesh.far / other.mesh.size == pytest.approx(case.mesh.far / case.mesh.size)
@@ -144,7 +144,7 @@ def test_coarse_start_failure_is_ignored(
         raise error
 
     always(monkeypatch)
-    monkeypatch.setattr(Model, "_cheaper", fail)
+    monkeypatch.setattr(Model, "_coarse_stepper", fail)
     if isinstance(error, StoppedError):
         with pytest.raises(StoppedError):
             go()
@@ -161,7 +161,7 @@ def test_coarse_start_interpolation_is_exact_for_linear_jumps() -> None:
         support.assemble(support.case(BLOCKS.replace("SIZE", size)))[0].contact
         for size in ("3.1", "1.3")
     )
-    weights = coarse_start.interpolation(coarse.points, fine.points, fine.local.rows)
+    weights = coarse_start.interpolation_matrix(coarse.points, fine.points, fine.local.rows)
     slope = np.random.default_rng(5).normal(size=(3, 3))
     interpolated = weights @ (coarse.points.x @ slope + 1.0)
     assert len(fine.local.rows) > 2 * len(coarse.local.rows)
@@ -171,8 +171,8 @@ def test_coarse_start_interpolation_is_exact_for_linear_jumps() -> None:
 def test_coarse_start_between_two_states() -> None:
     """A fine step that was cut needs a time that the coarse model has passed."""
     known = [(1.0, np.zeros((2, 3))), (2.0, np.ones((2, 3)))]
-    assert coarse_start.interpolate_in_time(known, 1.25) == pytest.approx(np.full((2, 3), 0.25))
-    assert coarse_start.interpolate_in_time(known, 2.0) == pytest.approx(np.ones((2, 3)))
+    assert coarse_start.jumps_between(known, 1.25) == pytest.approx(np.full((2, 3), 0.25))
+    assert coarse_start.jumps_between(known, 2.0) == pytest.approx(np.ones((2, 3)))
 
 
 def test_coarse_start_nearest_point_of_a_triangle() -> None:

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import mantle
-from app.case.case import load
+from app.case.case import load_case
 from app.case.run_options import Stage
 from app.foundation.errors import ConvergenceError
 from app.numerics.integrator import METHODS
@@ -83,7 +83,7 @@ class Followers:
     def begin(self, k: int, stage: Stage, is_new: bool) -> None:
         """Begin a stage."""
 
-    def follow(self, time: float, ends_increment: bool) -> None:
+    def after_heat_step(self, time: float, ends_increment: bool) -> None:
         """Record the time."""
         self.ends.append((time, ends_increment))
 
@@ -192,7 +192,7 @@ def test_heat_steps_note_unstable_steady_states(start: float, state: int, tmp_pa
         "stages=[{name: gap}, {name: rest, steady: true}]",
         f"regions.cement.thermal.initial_temperature={start} degC",
     )
-    case = load(support.CONFIGS / "verification" / "heated_walls.yaml", changes)
+    case = load_case(support.CONFIGS / "verification" / "heated_walls.yaml", changes)
     summary = mantle.run(case, tmp_path).summary
     pressure = summary["interfaces"]["metal_cement"]["pressure_mean"]
     assert pressure == pytest.approx(WALLS.states()[state].pressure, rel=1e-6, abs=1e-9)

@@ -151,7 +151,7 @@ def test_heated_mechanics_number_of_steps(
     mechanics = solved_after(heat, load)
     heat.T[0, 7] += warming
     heat.a[1] += cure_change
-    mechanics.follow(0.5, ends_increment=True)
+    mechanics.after_heat_step(0.5, ends_increment=True)
     assert load.paths == [(1 / steps, 0.0, 0.5)]
 
 
@@ -163,7 +163,7 @@ def test_heated_mechanics_load_is_linear_between_states() -> None:
     cure_rise = np.array([0.0, 0.1, 0.2, 0.3])
     heat.T += np.stack([stem_rise, cement_rise])
     heat.a += cure_rise
-    mechanics.follow(0.5, ends_increment=True)
+    mechanics.after_heat_step(0.5, ends_increment=True)
     fractions = np.arange(1, 5) / 4
     assert load.times == pytest.approx(0.5 * fractions)
     for s, T, a in zip(fractions, load.temperatures[1:], load.degrees[1:], strict=True):
@@ -182,7 +182,7 @@ def test_heated_mechanics_free_strain_grows_from_gelation_on() -> None:
     mechanics = solved_after(heat, load)
     heat.T += 40.0
     heat.a += 1.0
-    mechanics.follow(1.0, ends_increment=True)
+    mechanics.after_heat_step(1.0, ends_increment=True)
     final = α_T * 20.0 - SHRINKAGE / 3
     assert [e[0] for e in load.strains] == pytest.approx([0.0, 0.0, 0.0, final / 2, final])
     assert mechanics.strains[0].x.array[NODES] == pytest.approx(final)
@@ -197,7 +197,7 @@ def test_heated_mechanics_free_strain_adds_up_without_solves() -> None:
     for n, (warming, cure_change) in enumerate([(10.0, 0.1), (30.0, 0.0), (-15.0, 0.3)]):
         heat.T += warming
         heat.a += cure_change
-        mechanics.follow(0.1 * (n + 1), ends_increment=False)
+        mechanics.after_heat_step(0.1 * (n + 1), ends_increment=False)
     assert load.paths == []
     expected = α_T * 25.0 - SHRINKAGE / 3 * 0.4 / (1 - GEL)
     assert mechanics.strains[0].x.array[NODES] == pytest.approx(expected)
@@ -216,13 +216,13 @@ def test_heated_mechanics_solves_at_increments_and_after_large_changes() -> None
         (1.0, 0.0, True),
     ]:
         heat.T += warming
-        mechanics.follow(time, ends_increment)
+        mechanics.after_heat_step(time, ends_increment)
     assert load.paths == [(0.5, 0.0, 0.2), (1.0, 0.2, 0.5), (1.0, 0.5, 0.6), (1.0, 0.6, 1.0)]
     mechanics.begin(1, STAGE, is_new=False)
     assert mechanics.time == 1.0
     heat.T += 50.0  # between the stages, e.g. a steady state
     mechanics.begin(2, STAGE, is_new=True)
-    mechanics.follow(2.5, ends_increment=True)
+    mechanics.after_heat_step(2.5, ends_increment=True)
     assert load.paths[4:] == [(1.0, 2.0, 2.5)]
 
 
@@ -231,9 +231,9 @@ def test_heated_mechanics_restart_loads_the_state_of_the_last_solve() -> None:
     heat, load = Heat(0.6), Load()
     mechanics = solved_after(heat, load)
     heat.T += 20.0
-    mechanics.follow(0.5, ends_increment=True)
+    mechanics.after_heat_step(0.5, ends_increment=True)
     heat.T += 5.0
-    mechanics.follow(0.6, ends_increment=False)
+    mechanics.after_heat_step(0.6, ends_increment=False)
     strain = mechanics.strains[0].x.array.copy()
     mechanics.restored()
     assert load.temperatures[-1]["cement"] == pytest.approx(COLD + 20.0)
@@ -242,7 +242,7 @@ def test_heated_mechanics_restart_loads_the_state_of_the_last_solve() -> None:
     assert np.array_equal(mechanics.strains[0].x.array, strain)
     # The next step is from the restored heat.
     heat.T += 1.0
-    mechanics.follow(1.0, ends_increment=True)
+    mechanics.after_heat_step(1.0, ends_increment=True)
     assert mechanics.strains[0].x.array[NODES] == pytest.approx(α_T * 26.0)
 
 
@@ -275,7 +275,7 @@ def test_heated_mechanics_in_one_system_commits_each_heat_step(has_history: bool
     for time, seconds, ends_increment in [(0.2, 5.0, False), (0.5, 8.0, True), (0.5, 8.0, True)]:
         heat.T += 12.0
         heat.seconds = seconds
-        mechanics.follow(time, ends_increment)
+        mechanics.after_heat_step(time, ends_increment)
         assert mechanics.previous.temperatures[1] == pytest.approx(heat.T[1])
     assert system.reported == [2.0, 3.0, np.inf]
     assert mechanics.stage_start == 3.0

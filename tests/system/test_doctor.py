@@ -39,7 +39,7 @@ def test_doctor_recognizes_reference_blas(path: str, expected: bool) -> None:
 
 
 def test_doctor_report_names_dependencies() -> None:
-    text = doctor.report()
+    text = doctor.report_on_machine()
     rows = dict(line.split(maxsplit=1) for line in text.split("\n\n")[0].splitlines())
     assert rows["mantle"] == __version__
     for name in ("dolfinx", "petsc4py", "PETSc", "BLAS", "OMP_NUM_THREADS", "cores", "/dev/shm"):
@@ -61,7 +61,7 @@ def test_doctor_report_with_missing_packages(
 
     monkeypatch.setattr(doctor, "import_module", fail)
     monkeypatch.setenv("PATH", "/nonexistent")
-    text = doctor.report()
+    text = doctor.report_on_machine()
     for expected in (words, "mpirun is missing", "no C compiler"):
         assert expected in text
 

@@ -22,10 +22,12 @@ def test_form_cache_incomplete_modules_are_compiled_again(damage: str, tmp_path:
         case "no mark" | "no source" | "no module":
             {"mark": mark, "source": source, "module": module}[damage.split()[1]].unlink()
     existed: list[bool] = []
-    form_cache._compile(
-        lambda: form_cache._find(lambda *_: existed.append(source.exists()), FORM, [], tmp_path, 10)
+    form_cache._compile_then_unlock(
+        lambda: form_cache._get_or_lock(
+            lambda *_: existed.append(source.exists()), FORM, [], tmp_path, 10
+        )
     )
-    assert existed == [damage == "none"] and not form_cache._compiling
+    assert existed == [damage == "none"] and not form_cache._locks
 
 
 @pytest.mark.parametrize(

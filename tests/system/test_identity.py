@@ -17,19 +17,19 @@ from tests import support
 
 
 def test_identity_versions_are_those_of_libraries() -> None:
-    versions = identity.parts()
+    versions = identity.versions()
     assert list(versions) == ["mantle", "dolfinx", "petsc", "gmsh", "blas"]
     assert versions["mantle"].startswith(f"{__version__} ")
     assert versions["dolfinx"] == dolfinx.__version__
     assert versions["petsc"] == ".".join(map(str, PETSc.Sys.getVersion()))
     assert versions["gmsh"].startswith(gmsh.__version__)
-    assert json.loads(identity.text()) == versions
+    assert json.loads(identity.text_of_versions()) == versions
 
 
 def parts_in_process(**environ: str) -> dict[str, str]:
     """The parts in a separate process, which does not load MPI for Python."""
     code = (
-        "import json, sys; from app.system import identity; print(json.dumps(identity.parts()));"
+        "import json, sys; from app.system import identity; print(json.dumps(identity.versions()));"
         "assert not {'mpi4py.MPI', 'petsc4py.PETSc', 'dolfinx'} & sys.modules.keys()"
     )
     return dict(json.loads(support.python("-c", code, **environ).stdout))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.system.layout import plain
+from app.system.layout import plain_text
 
 
 @pytest.mark.parametrize(
@@ -21,4 +21,4 @@ from app.system.layout import plain
 )
 def test_layout_writes_values_on_one_line(value: object, expected: str) -> None:
     """Rounding errors of a vector are zero, with units or without."""
-    assert plain(value) == expected
+    assert plain_text(value) == expected

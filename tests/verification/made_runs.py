@@ -25,7 +25,7 @@ def judged(
             ]
 
     rows: list[Row] = []
-    monkeypatch.setattr(suite, "solve", solved)
+    monkeypatch.setattr(suite, "solve_problems", solved)
     monkeypatch.setattr(suite, "write", lambda name, options, of_problem: rows.extend(of_problem))
     monkeypatch.setattr(problem, "Run", lambda path: runs[int(path.name)])
     suite.run(name, Options(folder, 1, pattern, "long"))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.case.case import load
+from app.case.case import load_case
 from app.verification import changed_meshes
 from meshes import build
 from meshes.data import cell_volumes
@@ -16,7 +16,7 @@ from tests.support import CONFIGS
 
 
 def blocks(*overrides: str) -> Any:
-    case = load(CONFIGS / "blocks.yaml", ["mesh.size=4 mm", *overrides]).config
+    case = load_case(CONFIGS / "blocks.yaml", ["mesh.size=4 mm", *overrides]).config
     return build(case.geometry, case.mesh, None)
 
 
@@ -46,7 +46,7 @@ def test_changed_meshes_flattened_cells_fill_the_blocks() -> None:
 
 def test_changed_meshes_mirrored_quarter_is_the_whole() -> None:
     sizes = ["mesh.size=6 mm", "mesh.far_size=8 mm", "mesh.order=1"]
-    case = load(CONFIGS / "cylinders.yaml", sizes).config
+    case = load_case(CONFIGS / "cylinders.yaml", sizes).config
     quarter = build(case.geometry, case.mesh, None)
     whole = changed_meshes.mirrored(quarter)
     volumes = cell_volumes(whole.points, whole.cells)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.case.case import Case, load
+from app.case.case import Case, load_case
 from app.laws.values import gap_at
 from app.verification import closed_forms as exact
 from app.verification.measures import CEMENT
@@ -20,7 +20,7 @@ CASES = support.CONFIGS / "verification"
 
 
 def case(name: str, *overrides: str) -> Case:
-    return load(CASES / f"{name}.yaml", ("mesh.order=1", *overrides)).config
+    return load_case(CASES / f"{name}.yaml", ("mesh.order=1", *overrides)).config
 
 
 def test_clearance_gap_over_the_stages() -> None:

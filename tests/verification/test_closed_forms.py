@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from app.schema.expressions import evaluate
+from app.schema.expressions import values_at_points
 from app.verification import closed_forms as exact
 from tests.verification.differences import STEP, slope
 
@@ -83,7 +83,7 @@ def support(case: str, name: str) -> Field:
 
     def u(x: np.ndarray) -> np.ndarray:
         return np.column_stack(
-            [evaluate(entry[axis], x) if axis in entry else 0 * x[:, 0] for axis in "xyz"]
+            [values_at_points(entry[axis], x) if axis in entry else 0 * x[:, 0] for axis in "xyz"]
         )
 
     return u
@@ -184,7 +184,7 @@ PENALTIES = {1e2: 6.875e-3, 1e3: 1.803e-3, 1e4: 2.153e-4, 1e5: 2.195e-5, 1e6: 2.
         ([BALL.a, BALL.p0, BALL.approach], [0.676955, 104.1889, 0.0458268], 2e-6),
         ([exact.stick_half_width(1.0, 0.5 * 0.3 * 50, 50, 0.3)], [math.sqrt(0.5)], 1e-12),
         ([exact.push_up(0.1, 0.3)], [0.412371], 2e-6),
-        # Physics reference 5.7; all states: `soundness/test_failure_critical_friction.py`.
+        # Physics reference 5.7; all states: `soundness/test_critical_friction.py`.
         ([exact.particle_friction(1, w) for w in (0.8, -0.8)], [1.25, 1.25], 1e-14),
         (
             [exact.penalty_penetration(220, 0.01, r) for r in PENALTIES],

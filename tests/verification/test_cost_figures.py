@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from app.case.case import dump, load
+from app.case.case import dump, load_case
 from app.laws.contact_laws import Coulomb
 from app.laws.interface_laws import Bonded
 from app.verification import suite
@@ -98,7 +98,7 @@ def test_cost_figures_goals_run_valid_cases(goals: dict[str, PlannedProblem]) ->
     for name, planned in goals.items():
         assert planned.runs
         for run in planned.runs:
-            case = load(CONFIGS / run.case, run.overrides).config
+            case = load_case(CONFIGS / run.case, run.overrides).config
             second = "_2_" in name.removeprefix("ranks_2") or "condensed" in name
             first = any(o == "mesh.order=1" for o in run.overrides) or "stem" in run.case
             assert case.mesh.order == (1 if first or not second else 2), name
@@ -111,9 +111,9 @@ def test_cost_figures_goals_run_valid_cases(goals: dict[str, PlannedProblem]) ->
     twelve = goals["variations_12"].runs[1:]
     assert len(twelve) == 12
     assert all(run.share for run in twelve)
-    assert len({dump(load(CONFIGS / r.case, r.overrides).config) for r in twelve}) == 12
+    assert len({dump(load_case(CONFIGS / r.case, r.overrides).config) for r in twelve}) == 12
     (steps,) = goals["later_load_steps"].runs
-    stages = load(CONFIGS / steps.case, steps.overrides).config.stages
+    stages = load_case(CONFIGS / steps.case, steps.overrides).config.stages
     assert [stage.increments for stage in stages] == [1, 3]
 
 

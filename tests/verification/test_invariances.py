@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import meshes
-from app.case.case import load
+from app.case.case import load_case
 from app.case.gmsh_header import ALLOWED
 from app.foundation.arrays import Field, Floats
 from app.laws.loads import Force, Load
@@ -264,7 +264,9 @@ def test_invariances_shipped_cases_are_independent_of_axes(
 ) -> None:
     """A hip rotated by an odd angle and mirrored has equal numbers of its interfaces."""
     size = f"mesh.size={COARSE.get(name, '10 mm')}"
-    case = load(support.ROOT / "configs" / f"{name}.yaml", [size, "solver.tolerance=1e-12"]).config
+    case = load_case(
+        support.ROOT / "configs" / f"{name}.yaml", [size, "solver.tolerance=1e-12"]
+    ).config
     data, scene = meshes.build(case.geometry, case.mesh, None), build_scene(case)
     one, other = [], []
     for results, Q in ((one, np.eye(3)), (other, SHIPPED[name])):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.case.case import load
+from app.case.case import load_case
 from app.foundation.errors import InputError
 from app.mechanics.problem import Problem
 from tests import support
@@ -92,7 +92,7 @@ def test_loads_varying_load_is_evaluated_only_in_its_regions() -> None:
 @pytest.mark.parametrize("size", [8, 6])
 def test_loads_of_the_stance_are_independent_of_facets(size: int) -> None:
     """Hip and muscles act through points of the femur, for any facets of the mesh."""
-    case = load(
+    case = load_case(
         support.CONFIGS / "stance.yaml", [f"mesh.size={size} mm", "mesh.order=1", "interfaces={}"]
     ).config
     points = {"hip": case.geometry.head_centre, **case.geometry.points}

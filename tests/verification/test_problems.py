@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from app.case.case import PlannedRun, load
+from app.case.case import PlannedRun, load_case
 from app.verification import suite
 from app.verification.problem import within
 from tests.support import CONFIGS, ROOT
@@ -65,7 +65,7 @@ def test_problems_of_verify_have_cases_that_load(verify: list[suite.PlannedProbl
         assert planned.runs or planned.row.name == "klarbring"
         for run in planned.runs:
             assert f"run configs/{run.case}" in (CONFIGS / run.case).read_text("utf-8")
-            load(CONFIGS / run.case, run.overrides)
+            load_case(CONFIGS / run.case, run.overrides)
 
 
 def test_problems_of_verify_with_an_order_have_falling_sizes(
@@ -145,7 +145,7 @@ def test_problems_of_stress_are_refused_before_meshing_only_if_floating(
 ) -> None:
     """These cases float on every mesh; all others are read without an error."""
     unmeshed = [p for p in default_stress if not any(run.mesh for run in p.runs)]
-    suite.plan(unmeshed, tmp_path, timed=False)
+    suite.plan_runs(unmeshed, tmp_path, timed=False)
     refused = [p.row for p in unmeshed if not all(isinstance(r, PlannedRun) for r in p.planned)]
     assert {row.name for row in refused} == {
         "floating_no_support",

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import mantle
-from app.case.case import load
+from app.case.case import load_case
 from app.case.quantities import TABLE
 from app.foundation.arrays import Floats
 from app.foundation.errors import MantleError
@@ -215,7 +215,7 @@ def test_solvers_agree_on_a_belt(
     (tmp_path / "belt.geo").write_text(BELT_GEO)
     (tmp_path / "case.yaml").write_text(BELT)
     changes = f"interfaces.joint.friction_coefficient={friction}", linear
-    solved = support.solve(load(tmp_path / "case.yaml", changes).config)
+    solved = support.solve(load_case(tmp_path / "case.yaml", changes).config)
     contact = solved.problem.contact
     assert contact is not None
     # What the drum bears is the hold along x and the pull along y.
@@ -268,7 +268,7 @@ def test_solvers_agree_on_separate_columns(
     ]
     (tmp_path / "columns.geo").write_text(COLUMNS_GEO + "".join(tops))
     (tmp_path / "case.yaml").write_text(COLUMNS)
-    solved = support.solve(load(tmp_path / "case.yaml", [linear]).config)
+    solved = support.solve(load_case(tmp_path / "case.yaml", [linear]).config)
     contact = solved.problem.contact
     assert contact is not None
     column = contact.local.x[:, 0] // 3
@@ -394,7 +394,7 @@ def test_solvers_agree_on_a_large_augmentation(linear: str) -> None:
     """The augmentation changes no number, once a remedy has made it smaller."""
     stem = support.CONFIGS / "stress" / "stem.yaml"
     usual, large = (
-        support.solve(load(stem, (*PUSHED, *changes)).config)
+        support.solve(load_case(stem, (*PUSHED, *changes)).config)
         for changes in (("solver.linear=direct",), ("solver.augmentation_factor=200", linear))
     )
     assert support.difference(usual.last.motion, large.last.motion) < 1e-6
@@ -458,7 +458,7 @@ class Outcome:
 def _outcome(case: Path, changes: Sequence[str], folder: Path) -> Outcome:
     """Outcome of a run on one rank."""
     try:
-        mantle.run(load(case, changes), folder)
+        mantle.run(load_case(case, changes), folder)
     except mantle.UnusableError as error:
         return Outcome(error.exit_code, _numbers(support.summary(folder)))
     except mantle.MantleError as error:
@@ -496,7 +496,7 @@ def test_solvers_agree_on_shipped_cases(
     path = support.CONFIGS / case
     time = None
     with suppress(mantle.MantleError):
-        config = load(path, changes).config
+        config = load_case(path, changes).config
         time = config.time
         if not config.interfaces:
             pytest.skip("no interface")

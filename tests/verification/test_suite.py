@@ -96,9 +96,9 @@ def test_suite_outcomes(
     """A problem has this answer, and its runs end in this way."""
     expects = 'problem.expects("a number", tolerance=1e-6, source="known")'
     if answer == "no answer":
-        expects = 'problem.expects_refusal("a number", Reason.LOOSE_BODY)'
+        expects = 'problem.expects_refusal("a number", Reason.FLOATING_BODY)'
     elif answer == "may refuse":
-        expects = expects.replace('known")', 'known", or_refusal=Reason.LOOSE_BODY)')
+        expects = expects.replace('known")', 'known", or_refusal=Reason.FLOATING_BODY)')
     if answer in ("no answer", "may refuse"):
         answer = "compare(Comparison(0.0))"
     runs = [("mesh.size=4 mm",), ("mesh.size=5 mm",)][: len(ends)]
@@ -189,7 +189,7 @@ def test_suite_table_verdict_picture_and_json(tmp_path: Path) -> None:
     refused = Row("row_6", "row", outcome="refused", message=LOOSE)
     broken = Row("row_7", "row", outcome="failed", message=f"one: exit code 70: {LOOSE}")
     everything = [*compared, refused, broken]
-    text = suite.table(everything)
+    text = suite.table_of_rows(everything)
     first = text.splitlines()[1].split()
     assert first == [
         "row_0",
@@ -208,9 +208,9 @@ def test_suite_table_verdict_picture_and_json(tmp_path: Path) -> None:
     expected = f"8 problems: 3 passed, 1 refused, 3 missed, 1 failed: {others}"
     assert suite.verdict(everything) == expected
     other = Row("b", "b", tolerance=1.0, comparison=problem.Comparison(0.0), outcome="passed")
-    assert suite.table([*everything, other]).splitlines()[-4].split()[:2] == ["row", "8"]
+    assert suite.table_of_rows([*everything, other]).splitlines()[-4].split()[:2] == ["row", "8"]
     picture.draw(everything, tmp_path / "a.png")
-    entries = [suite.as_json(row) for row in everything]
+    entries = [suite.json_of_row(row) for row in everything]
     assert all(entry.keys() >= KEYS for entry in entries)
     json.loads(json.dumps(entries, allow_nan=False))
     assert (tmp_path / "a.png").stat().st_size > 5_000

@@ -19,7 +19,7 @@ from app.verification.problem import (
     KnownProblem,
     judging,
     long,
-    name_of,
+    name_of_problem,
     planned_runs,
     row_of,
     solve_here,
@@ -104,5 +104,5 @@ def _condensed(item: pytest.Function) -> list[pytest.Function]:
         ]
         problem.compare(difference_between(*problem.solve_all(both_ways)))
 
-    name = f"test_condensed[{name_of(item)}]"
+    name = f"test_condensed[{name_of_problem(item)}]"
     return [pytest.Function.from_parent(item.parent, name=name, callobj=solvers)]

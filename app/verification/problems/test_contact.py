@@ -110,7 +110,7 @@ def test_klarbring(problem: KnownProblem) -> None:
         source="Klarbring, Ingenieur-Archiv 60, 1990",
     )
     # Not at the top: it brings MPI, which the process that starts ranks must not initialize.
-    from app.soundness.failure import critical_friction
+    from app.soundness.critical_friction import critical_friction
 
     K = np.diag([1.0, 1.0, 2.0])
     K[0, 2] = K[2, 0] = 0.8
@@ -186,7 +186,7 @@ def test_friction_bar_on_a_bed(problem: KnownProblem, μ: float) -> None:
     "μ", [pytest.param(μ, id=f"{μ:g}") for μ in (0.0, 0.01, 0.3, 1.0, 2.0, 5.0)]
 )
 def test_friction_bar_pulled_off(problem: KnownProblem, μ: float) -> None:
-    problem.expects_refusal("a pull beyond what friction can hold", Reason.LOOSE_BODY)
+    problem.expects_refusal("a pull beyond what friction can hold", Reason.FLOATING_BODY)
     problem.solve(
         BAR,
         f"interfaces.base_bar.friction_coefficient={μ}",
@@ -290,7 +290,7 @@ def test_friction_stem(problem: KnownProblem, μ: float) -> None:
     if μ > CRITICAL:
         refusal = Reason.NOT_UNIQUE
     elif μ == 0:
-        refusal = Reason.LOOSE_BODY
+        refusal = Reason.FLOATING_BODY
     problem.expects(
         "violation of balance and of the laws of contact and friction",
         tolerance=1e-7,
@@ -372,7 +372,7 @@ def test_taper_pulled(problem: KnownProblem, μ: float, back: float) -> None:
     if -back < limit_ratio:
         problem.expects(description, tolerance=1e-7, source=WEDGE)
     else:
-        problem.expects_refusal(description, Reason.LOOSE_BODY)
+        problem.expects_refusal(description, Reason.FLOATING_BODY)
     compare_wedge(problem, μ, back)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from app.results.reading import Run
 from app.verification import cost_figures as figures
-from app.verification.cost_figures import FEMUR, LONG, RUNGS, STEM, STEM_RUNGS, femur, ratio
+from app.verification.cost_figures import FEMUR, LONG, RUNGS, STEM, STEM_RUNGS, femur_run, ratio
 from app.verification.problem import (
     Comparison,
     KnownProblem,
@@ -67,7 +67,9 @@ def test_stem(problem: KnownProblem, name: str) -> None:
 def test_contact_over_bonded(problem: KnownProblem, rung: str) -> None:
     limit = 2.0 if rung in figures.SMALL else 1.25
     goal(problem, "CPU time of contact over that of bonded interfaces", limit)
-    problem.compare(ratio(problem.solve_all([femur("contact", rung), femur("bonded", rung)])))
+    problem.compare(
+        ratio(problem.solve_all([femur_run("contact", rung), femur_run("bonded", rung)]))
+    )
 
 
 @bench
@@ -85,20 +87,26 @@ def test_moderate_over_bonded(problem: KnownProblem, rung: str) -> None:
 def test_growth_exponent(problem: KnownProblem) -> None:
     goal(problem, "of CPU time over unknowns", 1.12)
     rungs = rungs_of(problem, list(RUNGS))
-    problem.compare(figures.growth(problem.solve_all([femur("contact", rung) for rung in rungs])))
+    problem.compare(
+        figures.growth(problem.solve_all([femur_run("contact", rung) for rung in rungs]))
+    )
 
 
 @bench
 def test_newton_spread(problem: KnownProblem) -> None:
     goal(problem, "of iterations about their middle", 3.0)
     rungs = rungs_of(problem, list(RUNGS))
-    problem.compare(figures.spread(problem.solve_all([femur("contact", rung) for rung in rungs])))
+    problem.compare(
+        figures.spread_of_iterations(
+            problem.solve_all([femur_run("contact", rung) for rung in rungs])
+        )
+    )
 
 
 @bench
 def test_ranks_2_over_1(problem: KnownProblem) -> None:
     goal(problem, "wall time over one rank", 1 / 1.7)
-    largest = femur("contact", "170k")
+    largest = femur_run("contact", "170k")
     on_two_ranks = ProblemRun(FEMUR, largest.overrides, ranks=2)
     problem.compare(ratio(problem.solve_all([on_two_ranks, largest]), figures.wall))
 
@@ -106,14 +114,16 @@ def test_ranks_2_over_1(problem: KnownProblem) -> None:
 @bench
 def test_variations_12(problem: KnownProblem) -> None:
     goal(problem, "CPU time over that of one", 2.5)
-    first_run = femur("contact", "100k")
-    problem.compare(figures.variations(problem.solve_all([first_run, *figures.varied(first_run)])))
+    first_run = femur_run("contact", "100k")
+    problem.compare(
+        figures.variations(problem.solve_all([first_run, *figures.runs_of_variations(first_run)]))
+    )
 
 
 @bench
 def test_later_load_steps(problem: KnownProblem) -> None:
     goal(problem, "the longest over the first", 0.3)
-    solved = problem.solve(FEMUR, *femur("contact", "100k").overrides, *figures.STEPS)
+    solved = problem.solve(FEMUR, *femur_run("contact", "100k").overrides, *figures.STEPS)
     problem.compare(figures.later_steps(solved))
 
 
@@ -152,7 +162,9 @@ def test_later_2(problem: KnownProblem, rung: str) -> None:
 def test_variations_2(problem: KnownProblem, rung: str) -> None:
     goal(problem, "over one", 2.5)
     first_run = second_order(rung)
-    problem.compare(figures.variations(problem.solve_all([first_run, *figures.varied(first_run)])))
+    problem.compare(
+        figures.variations(problem.solve_all([first_run, *figures.runs_of_variations(first_run)]))
+    )
 
 
 @bench
@@ -181,7 +193,7 @@ def test_order_2_over_1(problem: KnownProblem) -> None:
         ProblemRun(FEMUR, (f"mesh.size={h}", *figures.STANCE))
         for h in (figures.SECOND, figures.REFERENCE)
     ]
-    first_order = [femur("contact", rung) for rung in RUNGS if rung != LONG]
+    first_order = [femur_run("contact", rung) for rung in RUNGS if rung != LONG]
     problem.compare(figures.equal_error(problem.solve_all([*second, *first_order])))
 
 
@@ -207,4 +219,4 @@ MILLION_GOALS: dict[str, tuple[str, Callable[[Run], float], float]] = {
 def test_million(problem: KnownProblem, name: str) -> None:
     quantity, figure, limit = MILLION_GOALS[name]
     goal(problem, quantity, limit)
-    problem.compare(figures.median_of(figure, problem.solve_all([femur("contact", LONG)])))
+    problem.compare(figures.median_of(figure, problem.solve_all([femur_run("contact", LONG)])))

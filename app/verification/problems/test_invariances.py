@@ -1,4 +1,4 @@
-"""One model in several forms: augmentation, load size, units, symmetry, steps; loose bodies."""
+"""One model in several forms: augmentation, load size, units, symmetry, steps; floating bodies."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ def test_loads_reversed_bar(problem: KnownProblem) -> None:
 @stress
 @condensed
 def test_loads_reversed_stem(problem: KnownProblem) -> None:
-    problem.expects_refusal("a stem pulled out", Reason.LOOSE_BODY)
+    problem.expects_refusal("a stem pulled out", Reason.FLOATING_BODY)
     problem.solve(STEM, "loads.push.force=[0 N, 0 N, 900 N]")
 
 
@@ -248,7 +248,7 @@ FLOATING = {
 @condensed
 @pytest.mark.parametrize("name", FLOATING)
 def test_floating(problem: KnownProblem, name: str) -> None:
-    reason = Reason.RIGID_CONTACT if name.startswith("rigid") else Reason.LOOSE_BODY
+    reason = Reason.RIGID_CONTACT if name.startswith("rigid") else Reason.FLOATING_BODY
     description = f"a stem in its cement and bone: {name}"
     answers = {"both open, pushed aside": law_violation, "both open, no load": nothing_moves}
     if name not in answers:

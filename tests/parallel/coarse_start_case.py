@@ -1,4 +1,4 @@
-"""A stem solved from rest and from a cheaper model on these ranks, started by `test_ranks`."""
+"""A stem solved from rest and from a coarse model on these ranks, started by `test_ranks`."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from mpi4py import MPI
 import numpy as np
 
 from app.simulation import model as models
-from tests.cases import nested_stem
+from tests.cases import coarse_start_stem
 
 if __name__ == "__main__":
     comm = MPI.COMM_WORLD
     starts = []
-    for settings in ({}, nested_stem.ALWAYS):
+    for settings in ({}, coarse_start_stem.ALWAYS):
         with patch.multiple(models, **settings) if settings else nullcontext():
-            model, steps = nested_stem.go()
+            model, steps = coarse_start_stem.go()
         j = model.mechanics.problem.contact
         of_rank = np.hstack([j.state.jump, j.state.force])
         starts.append((j.gather(of_rank), steps[0].outcome.residuals[0]))

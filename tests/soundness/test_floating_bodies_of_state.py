@@ -1,4 +1,4 @@
-"""Free rigid motions: held bodies are never called loose; free ones always are."""
+"""Free rigid motions: held bodies are never said to float; free ones always are."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 import meshes
 from app.foundation.errors import ConvergenceError, MantleError
 from app.foundation.verdict import Reason
-from app.soundness.loose_bodies import pulled_off
+from app.soundness.floating_bodies_of_state import texts_of_pulled_bodies
 from meshes import write_msh
 from meshes.distribute import distribute
 from tests import support
@@ -117,18 +117,18 @@ def judge(seed: int) -> None:
         reasons = Reason.within(text)
         if drawn.held:
             assert error.exit_code == 4 and Reason.LARGE_DISPLACEMENT in reasons, f"{text}\n{drawn}"
-    loose = Reason.LOOSE_BODY in reasons
-    assert loose != drawn.held, f"{reasons}\n{drawn}"
+    floats = Reason.FLOATING_BODY in reasons
+    assert floats != drawn.held, f"{reasons}\n{drawn}"
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_loose_bodies_are_free_ones_and_no_others(seed: int) -> None:
+def test_floating_bodies_of_state_are_the_free_ones(seed: int) -> None:
     judge(seed)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(100, 200))
-def test_loose_bodies_are_free_ones_and_no_others_drawn(seed: int) -> None:
+def test_floating_bodies_of_state_are_the_free_ones_drawn(seed: int) -> None:
     judge(seed)
 
 
@@ -149,29 +149,29 @@ def torque(moment: float, history: str = "[1]") -> tuple[str, ...]:
 
 @pytest.mark.parametrize("linear", support.SOLVERS)
 @pytest.mark.parametrize("moment", [1e-3, 1.0, 200.0])
-def test_loose_bodies_turn_by_a_small_torque(moment: float, linear: str) -> None:
+def test_floating_bodies_of_state_turn_by_a_small_torque(moment: float, linear: str) -> None:
     """Nothing bears a torque about the axis of a frictionless stem.
 
     The torque is small compared with 900 N.
     """
     with pytest.raises(ConvergenceError, match=ALONG) as error:
         support.solve(support.STEM, SMOOTH, *torque(moment), f"solver.linear={linear}")
-    assert Reason.within(str(error.value)) == {Reason.LOOSE_BODY}
+    assert Reason.within(str(error.value)) == {Reason.FLOATING_BODY}
 
 
 @pytest.mark.parametrize("moment", [1e-3, 200.0])
-def test_loose_bodies_turn_in_a_later_stage(moment: float) -> None:
+def test_floating_bodies_of_state_turn_in_a_later_stage(moment: float) -> None:
     stages = "stages=[{name: press}, {name: turn, max_cut_backs: 1}]"
     with pytest.raises(ConvergenceError, match=ALONG) as error:
         support.solve(support.STEM, SMOOTH, *torque(moment, "[0, 1]"), stages)
     assert "stage 'turn'" in str(error.value)
-    assert Reason.within(str(error.value)) == {Reason.LOOSE_BODY}
+    assert Reason.within(str(error.value)) == {Reason.FLOATING_BODY}
 
 
 @pytest.mark.parametrize("digits", [12, 6, 4, 3, 2])
 @pytest.mark.parametrize("taper", [1.5, 5])
 @pytest.mark.parametrize("force", ["[300 N, 0 N, -900 N]", "[0 N, 0 N, -900 N]"])
-def test_loose_bodies_are_not_those_with_an_axis_in_doubt(
+def test_floating_bodies_of_state_are_not_those_with_an_axis_in_doubt(
     force: str, taper: float, digits: int
 ) -> None:
     """Rounded coordinates shift the axis, so loads through it have a small torque."""
@@ -182,7 +182,7 @@ def test_loose_bodies_are_not_those_with_an_axis_in_doubt(
     problem, _ = support.assemble(case, distribute(data, support.MPI.COMM_WORLD))
     problem.set_time(1.0)
     assert problem.contact
-    assert not pulled_off(problem, problem.contact)
+    assert not texts_of_pulled_bodies(problem, problem.contact)
 
 
 # A block on a floor and against a wall of one base, without friction.
@@ -205,7 +205,7 @@ solver: {{linear: {linear}}}
 
 @pytest.mark.parametrize("linear", support.SOLVERS)
 @pytest.mark.parametrize("push", [1e-2, 1.0, 0.0, -1.0])
-def test_loose_bodies_leave_a_wall_by_a_small_force(
+def test_floating_bodies_of_state_leave_a_wall_by_a_small_force(
     push: float, linear: str, tmp_path: Path
 ) -> None:
     """A force of 900 N presses the block on the floor, and a small force pulls it off the wall."""
@@ -220,7 +220,7 @@ def test_loose_bodies_leave_a_wall_by_a_small_force(
         return
     with pytest.raises(ConvergenceError, match="'block': it is free to move along x") as error:
         support.solve(text)
-    assert Reason.within(str(error.value)) == {Reason.LOOSE_BODY}
+    assert Reason.within(str(error.value)) == {Reason.FLOATING_BODY}
 
 
 # Three blocks on each other: the middle one is pressed down, the upper one drawn away.
@@ -251,18 +251,18 @@ loads:
 @pytest.mark.parametrize(
     ("force", "motion"), [([0, 0, 0.1], "move along z"), ([0, 0.05, -0.1], "move along y")]
 )
-def test_loose_bodies_are_found_beside_one_that_is_pressed(
+def test_floating_bodies_of_state_are_found_beside_one_that_is_pressed(
     force: Sequence[float], motion: str, density: float
 ) -> None:
     """Only loads on the body itself matter, not 96 N or 9.6 kN on another one."""
     with pytest.raises(ConvergenceError, match=f"'high': it is free to .*{motion}") as error:
         support.solve(TOWER.format(force=list(force), density=density))
-    assert Reason.within(str(error.value)) == {Reason.LOOSE_BODY}
+    assert Reason.within(str(error.value)) == {Reason.FLOATING_BODY}
 
 
 @pytest.mark.parametrize("density", [-4, -400])
 @pytest.mark.parametrize("force", [[0, 0, -0.1], [0, 0.02, -0.1]])
-def test_loose_bodies_are_not_those_pressed_by_a_small_load(
+def test_floating_bodies_of_state_are_not_those_pressed_by_a_small_load(
     force: Sequence[float], density: float
 ) -> None:
     """A load of 0.1 N with a friction of 0.3 holds 0.02 N. The body below has much larger loads."""
@@ -270,7 +270,7 @@ def test_loose_bodies_are_not_those_pressed_by_a_small_load(
     problem, _ = support.assemble(support.case(text))
     problem.set_time(1.0)
     assert problem.contact
-    assert not pulled_off(problem, problem.contact)
+    assert not texts_of_pulled_bodies(problem, problem.contact)
     if density > -10:
         numbers = support.solve(text).interfaces["middle_high"]
         assert numbers["pressure_mean"] == pytest.approx(0.1 / 12, rel=1e-6)
@@ -303,7 +303,9 @@ output: {fields: false, report: false}
 
 
 @pytest.mark.parametrize("linear", support.SOLVERS)
-def test_loose_bodies_left_within_their_gaps_have_a_warning(linear: str, tmp_path: Path) -> None:
+def test_floating_bodies_of_state_left_within_their_gaps_have_a_warning(
+    linear: str, tmp_path: Path
+) -> None:
     """Solvers leave the body at different places. Only the sum of both gaps has one value."""
     linear = f"solver.linear={linear}"
     numbers = support.run(FLOATING, tmp_path, linear).summary
@@ -328,7 +330,9 @@ def test_loose_bodies_left_within_their_gaps_have_a_warning(linear: str, tmp_pat
         "supports.top.history=[1, 0]",  # nothing has moved away
     ],
 )
-def test_loose_bodies_held_within_their_gaps_have_no_warning(change: str, tmp_path: Path) -> None:
+def test_floating_bodies_of_state_held_within_their_gaps_have_no_warning(
+    change: str, tmp_path: Path
+) -> None:
     numbers = support.run(FLOATING, tmp_path, change).summary
     assert not [v for v in numbers["verdicts"] if "arbitrary" in v["what"]]
 
@@ -363,14 +367,16 @@ def moved(*overrides: str) -> float:
     ("overrides", "mode"),
     [((TWIST,), "rotate about z"), (("geometry.taper=0 deg",), "move along z")],
 )
-def test_loose_bodies_stem_without_friction_is_free(overrides: tuple[str, ...], mode: str) -> None:
+def test_floating_bodies_of_state_stem_without_friction_is_free(
+    overrides: tuple[str, ...], mode: str
+) -> None:
     """The stem can rotate in its taper, and slide out of a straight hole."""
     with pytest.raises(ConvergenceError) as caught:
         moved(*SMOOTH_SURFACES, *overrides)
     assert re.search(rf"nothing holds body 'stem': .* free to {mode}", str(caught.value))
 
 
-def test_loose_bodies_held_by_curved_facets_alone_are_named() -> None:
+def test_floating_bodies_of_state_held_by_curved_facets_alone_are_named() -> None:
     """Quadratic facets resist the rotation of a smooth stem."""
     with pytest.raises(ConvergenceError) as caught:
         moved(*SMOOTH_SURFACES, TWIST, "mesh.order=2")
@@ -383,13 +389,15 @@ def test_loose_bodies_held_by_curved_facets_alone_are_named() -> None:
 @pytest.mark.parametrize(
     "overrides", [SMOOTH_SURFACES, (TWIST,), (*SMOOTH_SURFACES, "mesh.size=5 mm")]
 )
-def test_loose_bodies_are_not_those_held_by_surfaces(overrides: tuple[str, ...]) -> None:
+def test_floating_bodies_of_state_are_not_those_held_by_surfaces(
+    overrides: tuple[str, ...],
+) -> None:
     """A smooth taper holds a stem that is pushed into it; friction holds a rotation."""
     assert moved(*overrides) > 0
 
 
 @pytest.mark.parametrize("friction", [0, 0.3, 1])
-def test_loose_bodies_stem_without_friction_is_free_for_any_friction_in_bone(
+def test_floating_bodies_of_state_stem_without_friction_is_free_for_any_friction_in_bone(
     friction: float,
 ) -> None:
     """A stem without friction leaves its cement if pushed aside.

@@ -1,11 +1,12 @@
 """Floating bodies of a state: rigid motions that neither supports nor contact hold.
 
-`free_bodies`, `pulled_off` and `runaway` detect them on the contact points of a state, after a
-solve. Before solving, `app.soundness.bodies_on_mesh` detects them on the parts of a mesh.
+The functions detect floating bodies on the contact points of a state, after a solve. Before
+solving, `app.soundness.bodies_on_mesh` detects them on the parts of a mesh.
 
 Facets may hide a floating body. A smooth stem can rotate in its cement without resistance. On a
 mesh the mean normals of curved facets are off by a fraction of the angle between them. Contact then
-resists the rotation, with a stiffness that depends on the mesh alone (`held_by_facets`).
+resists the rotation, with a stiffness that depends on the mesh alone
+(`error_of_body_held_by_facets`).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from app.interfaces.smooth_normals import LIKELY_MULTIPLE
 from app.numerics.rigid_motions import (
     DIRECTIONS,
     add_relative,
-    describe,
+    motions_in_words,
     motions_outside,
     relative_resistance,
 )
@@ -43,7 +44,7 @@ RUNAWAY = 0.05
 # They must also exceed this motion in units of load / (modulus of the softer side x size). It is 5
 # for a stem wedged by friction, 70 for a frictionless taper of 1.5 degrees, and 600 for a straight
 # frictionless stem.
-LOOSE = 200.0
+LARGEST_ELASTIC = 200.0
 # Displacements are not small beyond this fraction of the size of the interfaces, whatever resists.
 NOT_SMALL = 0.2
 # Largest motion of an interface by a lever, over the largest prescribed displacement.
@@ -77,12 +78,16 @@ CONTACT = "contact"
 HOLD = "hold the body (a support, friction, an elastic foundation)"
 
 
-def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> list[str]:
-    """Free rigid motions of bodies, resisted by no support and no closed contact; collective.
+def texts_of_floating_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> list[str]:
+    """Sentences on free motions: no support and no closed contact resists them; collective.
 
     The resistance of contact is the generalized Jacobian at each point, projected onto the relative
-    rigid motions of the two bodies. Motions are free if neither contact nor a support resists them.
-    With ``moved``, motions of `ContactMotions.free` are left out: no load moves bodies along them.
+    rigid motions of the two bodies.
+
+    Args:
+        problem: The problem.
+        trial: Its state.
+        moved: True to leave out `ContactMotions.unresisted`: no load moves bodies along them.
     """
     contact, body_names = trial.contact, problem.bodies.names
     x = contact.points.x
@@ -91,24 +96,27 @@ def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> lis
     R = contact.motions.jumps_by_motion
     A = _gathered(problem, contact.local.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R))
     total = float(np.sum(contact.points.weight)) or 1.0
-    support_resistance = supported(problem)
-    # A body with a prescribed motion counts as held here, but not in `pulled_off`.
-    support_resistance |= {body: np.eye(6) for body in turning(problem)}
+    support_resistance = support_resistance_of_bodies(problem)
+    # A body with a prescribed motion counts as held here, but not in `texts_of_pulled_bodies`.
+    support_resistance |= {body: np.eye(6) for body in bodies_with_prescribed_motion(problem)}
     for body, part in support_resistance.items():
         A[6 * body : 6 * body + 6, 6 * body : 6 * body + 6] += total * part
     values, vectors = np.linalg.eigh((A + A.T) / 2)
     free_vectors = vectors[:, values <= FREE * max(values[-1], total)]
     if moved:
-        free_vectors = motions_outside(free_vectors, contact.motions.free(trial.forces.status))
+        unresisted = contact.motions.unresisted(trial.forces.status)
+        free_vectors = motions_outside(free_vectors, unresisted)
     at_body = [(contact.points.bodies == b).any(axis=1) for b in range(len(body_names))]
     centres = np.array([x[mask].mean(axis=0) if mask.any() else centre for mask in at_body])
-    return describe(free_vectors, [f"'{name}'" for name in body_names], centres, centre, size)
+    return motions_in_words(
+        free_vectors, [f"'{name}'" for name in body_names], centres, centre, size
+    )
 
 
-def pushed_freely(problem: Problem, trial: TrialState) -> list[str]:
-    """Bodies that loads, however small, push along an unresisted motion; collective."""
+def texts_of_pushed_bodies(problem: Problem, trial: TrialState) -> list[str]:
+    """Sentences on bodies that loads, however small, push along unresisted motions; collective."""
     contact = trial.contact
-    motions = contact.motions.free(trial.forces.status)
+    motions = contact.motions.unresisted(trial.forces.status)
     motion = motions @ (motions.T @ _on_bodies(problem))
     pressures = contact.local.weight[:, None] * trial.forces.pressures
     return _pulls(problem, motion, pressures)
@@ -161,7 +169,7 @@ def _pulls(problem: Problem, motion: Floats, pressures: Floats) -> list[str]:
     if motion @ _on_bodies(problem) <= resisted + rounding:
         return []
     centres = np.tile(contact.motions.frame[0], (len(body_names), 1))
-    motion_texts = describe(
+    motion_texts = motions_in_words(
         motion[:, None], [f"'{name}'" for name in body_names], centres, *contact.motions.frame
     )
     return [f"{motion_text}, and the loads act in this direction" for motion_text in motion_texts]
@@ -174,16 +182,17 @@ def _gathered(problem: Problem, resistance: Floats) -> Floats:
     return np.asarray(problem.comm.allreduce(relative_resistance(resistance, bodies, n)))
 
 
-def sliding(problem: Problem, contact: ContactInterfaces) -> list[Verdict]:
-    """Bodies held by friction alone in the last converged state, near its limit; collective.
+def warnings_of_sliding_bodies(problem: Problem, contact: ContactInterfaces) -> list[Verdict]:
+    """Warnings on bodies that friction alone holds, near its limit; collective.
 
-    Under a larger load they may come off. This is no proof, so smaller steps are still tried.
+    The state is the last converged one. Under a larger load the bodies may come off. This is no
+    proof, so smaller steps are still tried.
     """
     normal = np.linalg.norm(contact.state.force - contact.state.friction, axis=1)
     shear = np.linalg.norm(contact.state.friction, axis=1)
     fixed_bodies = {
         b
-        for b, part in supported(problem).items()
+        for b, part in support_resistance_of_bodies(problem).items()
         if np.linalg.eigvalsh(part[:3, :3])[0] > HELD and np.linalg.eigvalsh(part)[0] > FREE
     }
     verdicts = []
@@ -195,23 +204,23 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[Verdict]:
         )
         slip, touch = problem.comm.allreduce(local)
         bodies = problem.comm.allgather(set(contact.local.bodies[is_pressed].ravel().tolist()))
-        loose = set().union(*bodies) - fixed_bodies
-        if term.law.friction > 0 and touch and slip >= SLIDES * touch and loose:
-            body_names = "' and '".join(problem.bodies.names[b] for b in sorted(loose))
+        unsupported = set().union(*bodies) - fixed_bodies
+        if term.law.friction > 0 and touch and slip >= SLIDES * touch and unsupported:
+            body_names = "' and '".join(problem.bodies.names[b] for b in sorted(unsupported))
             message = (
                 f"friction hardly holds body '{body_names}': {100 * slip / touch:.0f} % of the "
                 f"contact area of interface '{term.name}' slips in the last converged state"
             )
-            verdicts.append(Verdict(message, severity=Severity.WARNING, code=Reason.LOOSE_BODY))
+            verdicts.append(Verdict(message, severity=Severity.WARNING, code=Reason.FLOATING_BODY))
     return verdicts
 
 
-def runaway(problem: Problem, trial: TrialState) -> Verdict | None:
+def error_of_runaway(problem: Problem, trial: TrialState) -> Verdict | None:
     """Return an error if loads moved the sides of an interface too far; collective.
 
     The state has converged, but must not be used: displacements are not small.
 
-    A body is loose only if one of its rigid motions is free. Springs, bending arms and soft layers
+    A body floats only if one of its rigid motions is free. Springs, bending arms and soft layers
     may move as far, but resist.
     """
     contact = trial.contact
@@ -239,11 +248,13 @@ def runaway(problem: Problem, trial: TrialState) -> Verdict | None:
             else "separated completely"
         )
         message = f"the sides of interface '{term.name}' {motion_text}"
-        if largest > LOOSE * forces / (term.modulus * size):
-            loose_texts = free_bodies(problem, trial, moved=True) or pulled_off(problem, contact)
-            if loose_texts or term.between:
+        if largest > LARGEST_ELASTIC * forces / (term.modulus * size):
+            floating = texts_of_floating_bodies(
+                problem, trial, moved=True
+            ) or texts_of_pulled_bodies(problem, contact)
+            if floating or term.between:
                 return Verdict(
-                    "; ".join([*loose_texts, message]), remedy=HOLD, code=Reason.LOOSE_BODY
+                    "; ".join([*floating, message]), remedy=HOLD, code=Reason.FLOATING_BODY
                 )
         if largest > NOT_SMALL * size + LEVER * largest_prescribed:
             remedy = (
@@ -255,7 +266,7 @@ def runaway(problem: Problem, trial: TrialState) -> Verdict | None:
     return None
 
 
-def floating_bodies(problem: Problem, trial: TrialState) -> list[Verdict]:
+def warnings_of_floating_bodies(problem: Problem, trial: TrialState) -> list[Verdict]:
     """Warnings on bodies that nothing holds within their gaps in a converged state; collective.
 
     No load acts on such a body along its free motion, so any place in the gaps is an equilibrium.
@@ -268,9 +279,11 @@ def floating_bodies(problem: Problem, trial: TrialState) -> list[Verdict]:
         return []
     rounding = UNPRESSED * contact.laws.augmentation * size
     is_unpressed = contact.laws.slides & (trial.forces.pressures.max(axis=1) <= rounding)
-    motions = contact.motions.loose(np.where(is_unpressed, OPEN, trial.forces.status))
+    motions = contact.motions.resisted_by_open_points(
+        np.where(is_unpressed, OPEN, trial.forces.status)
+    )
     centres = np.tile(contact.motions.frame[0], (len(body_names), 1))
-    motion_texts = describe(
+    motion_texts = motions_in_words(
         motions, [f"'{name}'" for name in body_names], centres, *contact.motions.frame
     )
     place = "in the last state. Its position within the gaps is arbitrary"
@@ -280,8 +293,8 @@ def floating_bodies(problem: Problem, trial: TrialState) -> list[Verdict]:
     ]
 
 
-def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
-    """Describe bodies that the loads pull off all other bodies; collective.
+def texts_of_pulled_bodies(problem: Problem, contact: ContactInterfaces) -> list[str]:
+    """Sentences on bodies that the loads pull off all other bodies; collective.
 
     Rigid bodies press on springs at the contact points. The part of the loads that the springs do
     not bear is a motion. It opens all points or slides along them (a cone and its polar, Moreau).
@@ -320,7 +333,7 @@ def _motions_without_support(problem: Problem) -> Floats:
     """Rigid motions of all bodies that no support resists, as columns (6 n, m); collective."""
     n = len(problem.bodies.names)
     resistance = np.zeros((n, 6, n, 6))
-    for b, part in supported(problem).items():
+    for b, part in support_resistance_of_bodies(problem).items():
         resistance[b, :, b] += part
     sizes, motions = np.linalg.eigh(resistance.reshape(6 * n, 6 * n))
     return np.asarray(motions[:, sizes <= FREE * sizes[-1]])
@@ -358,7 +371,7 @@ def _compressed_springs(
     return springs, pressures
 
 
-def held_by_facets(problem: Problem, trial: TrialState) -> Verdict | None:
+def error_of_body_held_by_facets(problem: Problem, trial: TrialState) -> Verdict | None:
     """Return an error on a body in smooth contact that only its mesh holds; collective.
 
     The stiffness of contact in relative rigid motions of the bodies is divided by the stiffness
@@ -374,7 +387,7 @@ def held_by_facets(problem: Problem, trial: TrialState) -> Verdict | None:
     contact = trial.contact
     n = len(problem.bodies.names)
     R = contact.motions.jumps_by_motion
-    unsupported = np.setdiff1d(np.arange(n), sorted(supported(problem)))
+    unsupported = np.setdiff1d(np.arange(n), sorted(support_resistance_of_bodies(problem)))
     rows = (6 * unsupported[:, None] + np.arange(6)).ravel()
     resistances = _against_spread(problem, trial, R, np.array(smooth)[contact.local.interface])
     A, N = (x[np.ix_(rows, rows)] for x in resistances)
@@ -409,7 +422,7 @@ def held_by_facets(problem: Problem, trial: TrialState) -> Verdict | None:
         f"surface it is free to {DIRECTIONS[mode]}; it moved by "
         f"{max(problem.comm.allgather(largest_motion)):.3g} mm, a distance that depends on the mesh"
     )
-    return Verdict(message, remedy=HOLD, code=Reason.LOOSE_BODY)
+    return Verdict(message, remedy=HOLD, code=Reason.FLOATING_BODY)
 
 
 def _against_spread(
@@ -441,7 +454,7 @@ def _against_spread(
     return A, N
 
 
-def supported(problem: Problem) -> dict[int, Floats]:
+def support_resistance_of_bodies(problem: Problem) -> dict[int, Floats]:
     """Resistance of active supports and foundations to rigid motions, by body (6, 6)."""
     from app.mechanics.stiffness import support_resistance  # imports dolfinx
 
@@ -449,6 +462,6 @@ def supported(problem: Problem) -> dict[int, Floats]:
     return support_resistance(problem.body_forms, problem.stiffness, *problem.contact.motions.frame)
 
 
-def turning(problem: Problem) -> list[int]:
-    """Bodies with a prescribed motion."""
+def bodies_with_prescribed_motion(problem: Problem) -> list[int]:
+    """Bodies with a prescribed motion, by number."""
     return [problem.bodies.body_of_region[m.region] for m in problem.scene.motions]

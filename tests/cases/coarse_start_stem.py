@@ -1,4 +1,4 @@
-"""A stem whose load steps start from a cheaper model."""
+"""A stem whose load steps start from a coarse model."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ TURNS = (
     "stages=[{name: fit}, {name: push, increments: 2}]",
 )
 
-# Start from a cheaper model although this one is small.
+# Start from a coarse model although this one is small.
 ALWAYS = {"LARGE": 1000}
 
 

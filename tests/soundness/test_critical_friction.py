@@ -8,7 +8,7 @@ import pytest
 from app.case.case import Case
 from app.foundation.arrays import Floats
 from app.foundation.verdict import Reason, Verdict
-from app.soundness.failure import beyond_critical, critical_friction
+from app.soundness.critical_friction import critical_friction, critical_friction_of_interfaces
 from tests import support
 
 # Relative distance from the critical coefficient at which the two sides are distinguished.
@@ -39,7 +39,7 @@ def critical_in_the_plane(K: Floats) -> float:
     return float(critical_friction(whole[None], np.array([[0.0, 0.0, 1.0]]))[0])
 
 
-def test_failure_critical_friction_of_klarbrings_particle() -> None:
+def test_critical_friction_of_klarbrings_particle() -> None:
     """Values k_T = 1, k_N = 2, w = 0.8 give every load one solution up to a coefficient of 1.25."""
     K = np.array([[1, 0.8], [0.8, 2]])
     assert critical_in_the_plane(K) == pytest.approx(1.25, rel=1e-14)
@@ -49,7 +49,7 @@ def test_failure_critical_friction_of_klarbrings_particle() -> None:
         assert max(numbers_of_states(K, μ)) > 1, μ
 
 
-def test_failure_critical_friction_of_random_particles_in_the_plane() -> None:
+def test_critical_friction_of_random_particles_in_the_plane() -> None:
     rng = np.random.default_rng(1)
     for _ in range(12):
         B = rng.normal(size=(2, 2))
@@ -85,7 +85,7 @@ def number_in_space(K: Floats, load: Floats, μ: float, φ: Floats) -> int:
     return int(opens) + int(sticks) + slips(K, load, μ, φ)
 
 
-def test_failure_critical_friction_of_random_points_in_space() -> None:
+def test_critical_friction_of_random_points_in_space() -> None:
     """Below the value random loads and those near the fold have one state.
 
     Beyond it the fold has stick and slip.
@@ -117,7 +117,7 @@ def test_failure_critical_friction_of_random_points_in_space() -> None:
                 assert set(numbers) == {1}
 
 
-def test_failure_critical_friction_is_invariant_under_rotation() -> None:
+def test_critical_friction_is_invariant_under_rotation() -> None:
     """The frame of the point does not matter, nor the scale of the stiffness."""
     rng = np.random.default_rng(3)
     B = rng.normal(size=(5, 3, 3))
@@ -129,7 +129,7 @@ def test_failure_critical_friction_is_invariant_under_rotation() -> None:
     np.testing.assert_allclose(turned, critical_friction(K, n), rtol=1e-10)
 
 
-def test_failure_critical_friction_is_infinite_without_coupling() -> None:
+def test_critical_friction_is_infinite_without_coupling() -> None:
     K = np.diag([1.0, 2.0, 3.0])[None]
     assert np.isinf(critical_friction(K, np.array([[0.0, 0.0, 1.0]]))).all()
 
@@ -148,9 +148,11 @@ def stack(friction: float) -> Case:
     return support.case(STACK, f"interfaces.lower_upper={law}")
 
 
-def test_failure_critical_friction_is_reported_only_beyond() -> None:
+def test_critical_friction_is_reported_only_beyond() -> None:
     def judged(friction: float) -> tuple[dict[str, float], list[Verdict]]:
-        return beyond_critical(support.assemble(stack(friction))[0])
+        found = critical_friction_of_interfaces(support.assemble(stack(friction))[0])
+        coefficients = {critical.interface: critical.smallest for critical in found}
+        return coefficients, [warning for critical in found for warning in critical.warnings()]
 
     critical, warnings = judged(0.5)
     assert 1 < critical["lower_upper"] < 10 and not warnings
@@ -161,7 +163,7 @@ def test_failure_critical_friction_is_reported_only_beyond() -> None:
     assert judged(0) == ({}, [])
 
 
-def test_failure_critical_friction_uses_the_jump_block() -> None:
+def test_critical_friction_uses_the_jump_block() -> None:
     """A unit jump of one component causes the forces of its column."""
     problem, solver = support.assemble(stack(0.5))
     j = problem.contact
