@@ -1,7 +1,8 @@
 r"""Unilateral contact with Coulomb friction at a point of an interface.
 
 `contact_law` is the one formula of Coulomb's law in the program. `app.mechanics.point_laws`
-evaluates it, also along prescribed jumps and on the debonded share of a cohesive interface.
+evaluates it, `prescribed_slip` along jumps that supports prescribe, `debonded_contact` on the
+debonded share of a cohesive interface, `switches` under given pressures.
 
 Equations 57 and 63 to 65 are those of the paper, Ramaniraka and others (docs/theory.md).
 
@@ -314,7 +315,7 @@ def _touching(
 def _friction(μ: Scalar | None, p: Sequence[Scalar], S_T: Scalar) -> tuple[Scalar, Scalar]:
     """Radius of the friction disc [MPa] and condition of stick; None without friction.
 
-    `app.mechanics.point_laws` relies on a radius proportional to μ.
+    `app.mechanics.debonded_contact` relies on a radius proportional to μ.
     """
     if μ is None:
         return None, None

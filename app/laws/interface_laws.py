@@ -19,7 +19,7 @@ formula, edit `forms.contact`. The steps between pass every constant of a law on
     mechanics.contact.ContactInterfaces.residual   e + W P: forces of the bodies and of the law [N]
 
 The debonded area of a cohesive interface has a law of contact, `Traction.debonded_contact`, whose
-coefficient takes the same path; `PointLaws` multiplies it by the debonded share.
+coefficient takes the same path; `mechanics.debonded_contact` multiplies it by the debonded share.
 
 To add a law, derive from `Traction` (a force that is a function of the gap) or from `InterfaceLaw`.
 `Traction` says what its methods return and what becomes of it. `app/README.md` has an example.

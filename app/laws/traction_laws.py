@@ -47,7 +47,7 @@ class Traction(InterfaceLaw):
     .. math:: T + P(F - T + r D),
 
     with P the response of contact without cohesion and the friction coefficient s μ, its work
-    counted as friction (`mechanics.point_laws.PointLaws.evaluate`). `new_internal_variables` are
+    counted as friction (`mechanics.debonded_contact`). `new_internal_variables` are
     committed with a converged step. The other results are numbers and fields of the run alone, but
     `dissipated` also sets the steps of a stage with `fracture_step`.
     """

@@ -73,7 +73,7 @@ def least_friction(trial: TrialState) -> tuple[Floats, Floats]:
     rounding = CLOSED * np.linalg.norm(law.force, axis=1) / contact.laws.augmentation
     is_closed = np.where(is_face, np.abs(opening) <= rounding[:, None], True).all(axis=1)
     has_edge = (contact.local.faces > 1) & (law.status == STICK)
-    rows = np.flatnonzero(has_edge & contact.laws.has_contact & is_closed)
+    rows = np.flatnonzero(has_edge & contact.laws.law_has_contact & is_closed)
     on_faces = -np.einsum("pki,pi->pk", dual_vectors(normals[rows]), law.force[rows])
     pressed = (on_faces >= 0).all(axis=1)
     rows, on_faces = rows[pressed], on_faces[pressed]
@@ -102,7 +102,7 @@ def status_at_rest(trial: TrialState) -> Ints:
     """
     contact, state = trial.contact, trial.contact.state
     longest_path = contact.gather(state.path).max(initial=0.0)
-    is_resting = contact.laws.frictional & (state.step_slip <= AT_REST * longest_path)
+    is_resting = contact.laws.law_has_friction & (state.step_slip <= AT_REST * longest_path)
     is_held = (contact.local.faces == 0) | (is_resting & (trial.forces.status == SLIP))
     return np.where(is_held, STICK, trial.forces.status)
 

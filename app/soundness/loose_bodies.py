@@ -99,7 +99,7 @@ def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> lis
     values, vectors = np.linalg.eigh((A + A.T) / 2)
     free_vectors = vectors[:, values <= FREE * max(values[-1], total)]
     if moved:
-        free_vectors = motions_outside(free_vectors, contact.motions.free(trial.forces.status))
+        free_vectors = motions_outside(free_vectors, contact.free_motions(trial.forces.status))
     at_body = [(contact.points.bodies == b).any(axis=1) for b in range(len(body_names))]
     centres = np.array([x[mask].mean(axis=0) if mask.any() else centre for mask in at_body])
     return describe(free_vectors, [f"'{name}'" for name in body_names], centres, centre, size)
@@ -108,7 +108,7 @@ def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> lis
 def pushed_freely(problem: Problem, trial: TrialState) -> list[str]:
     """Bodies that loads, however small, push along an unresisted motion; collective."""
     contact = trial.contact
-    motions = contact.motions.free(trial.forces.status)
+    motions = contact.free_motions(trial.forces.status)
     motion = motions @ (motions.T @ _on_bodies(problem))
     pressures = contact.local.weight[:, None] * trial.forces.pressures
     return _pulls(problem, motion, pressures)
@@ -267,8 +267,8 @@ def floating_bodies(problem: Problem, trial: TrialState) -> list[Verdict]:
     if not any(problem.comm.allgather(bool((is_open & (gaps > GAP * size)).any()))):
         return []
     rounding = UNPRESSED * contact.laws.augmentation * size
-    is_unpressed = contact.laws.slides & (trial.forces.pressures.max(axis=1) <= rounding)
-    motions = contact.motions.loose(np.where(is_unpressed, OPEN, trial.forces.status))
+    is_unpressed = contact.laws.law_is_contact & (trial.forces.pressures.max(axis=1) <= rounding)
+    motions = contact.loose_motions(np.where(is_unpressed, OPEN, trial.forces.status))
     centres = np.tile(contact.motions.frame[0], (len(body_names), 1))
     motion_texts = describe(
         motions, [f"'{name}'" for name in body_names], centres, *contact.motions.frame
