@@ -333,7 +333,7 @@ class _CaseRun:
             log.info("     computing and writing results")
         with setup.timing.phase("output"):
             self._recorder.flush()
-            summary = self._recorder.summary("converged", total)
+            summary = self._recorder.summary(total)
         notes = [*self._notes, *result_notes.of_results(case, summary), *model.floating_bodies()]
         verdicts.record(summary, notes)
         if verdicts.reasons_not_to_use(summary):
