@@ -120,9 +120,8 @@ class Response:
         pressures: Pressure of each face, positive in compression [MPa].
         status: OPEN, STICK or SLIP, as a number.
         internal_variables: Internal variables after a converged step, by name.
-        slip: Slip: tangential part of the jump at a point in contact, without the elastic part of a
-            layer; 0 where the point is open (3,) [mm]. None for laws without slip and for contact,
-            whose slip follows from the jump (`app.mechanics.contact.TrialState.slip`).
+        slip: Slip (3,) [mm], as `app.mechanics.contact.TrialState.slip` defines it. None for laws
+            without slip and for contact, whose slip that method computes.
         stored: Stored energy per area [N/mm]; None if there is none.
         dissipated: Energy per area that a step dissipates [N/mm]. None for contact, where friction
             dissipates, and for laws without dissipation.

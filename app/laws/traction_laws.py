@@ -99,7 +99,7 @@ class Traction(InterfaceLaw):
         """Contact law of the debonded area, if the subclass defines `debonded_share`."""
         if type(self).debonded_share is Traction.debonded_share:
             return None
-        return Coulomb(friction_coefficient=self.friction)
+        return Coulomb(friction_coefficient=self.largest_friction)
 
     def constants_at_points(self, interface: str, stem: StemPlaces) -> dict[str, Field]:
         """Functions of points (n, 3) that return the constants there (n,), by name.
@@ -189,7 +189,7 @@ class Cohesive(Frictional, Traction):
     @property
     def form(self) -> Hashable:
         """Cohesion by its softening, with or without friction."""
-        return "cohesive", self.softening, self.friction > 0
+        return "cohesive", self.softening, self.largest_friction > 0
 
     def cohesive_state(self, point: GapState) -> CohesiveState:
         """Cohesive response of a point at a gap.

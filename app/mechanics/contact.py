@@ -108,7 +108,7 @@ class TrialState:
         return np.asarray((self.forces.pressures > 0) | is_nearly_closed)
 
     def slip(self, friction: Floats) -> Floats:
-        """Slip (n, 3) [mm] under a friction (n, 3) [MPa].
+        """Slip (n, 3) [mm] under a friction (n, 3) [MPa]: the definition of slip in the program.
 
         It is the tangential part of the jump at a point in contact (d_T of eq. 3), without the
         elastic part of a layer; 0 where the point is open. In small sliding it follows from the

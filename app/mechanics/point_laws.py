@@ -114,7 +114,9 @@ class PointLaws:
             k: shape for law in laws for k, shape in law.internal_variables.items()
         }
         self.law_can_open = np.array([law.can_open for law in laws])[points.interface]
-        self.law_has_friction = np.array([law.friction > 0 for law in laws])[points.interface]
+        self.law_has_friction = np.array([law.largest_friction > 0 for law in laws])[
+            points.interface
+        ]
         self.law_is_contact = np.array([law.is_contact for law in laws])[points.interface]
         has_contact = [law.is_contact or law.debonded_contact is not None for law in laws]
         self.law_has_contact = np.array(has_contact)[points.interface]
@@ -248,7 +250,7 @@ class PointLaws:
             inputs_at_rows = {k: v[rows] for k, v in (inputs | committed).items()}
             law_at_rows = self._law_at(group.kernel, rows, state.friction[rows])
             response = law_at_rows(inputs_at_rows)
-            if switches.tresca_force is not None and law.is_contact and law.friction > 0:
+            if switches.tresca_force is not None and law.is_contact and law.largest_friction > 0:
                 excess = switches.tresca_force[rows] - trial_force[rows]
                 response = tresca_response(
                     law_at_rows, inputs_at_rows, response, points.normals[rows], excess
@@ -266,7 +268,7 @@ class PointLaws:
                 forces.outputs[name][rows] = response[name]
             if group.debonded_kernel is not None:
                 contact_inputs = {name: inputs_at_rows[name] for name in inputs}
-                if law.friction > 0:
+                if law.largest_friction > 0:
                     contact_inputs["μ"] = self._constants["μ"][rows]
                 contact_at_rows = self._law_at(group.debonded_kernel, rows, state.friction[rows])
                 self._add_debonded_contact(

@@ -154,8 +154,8 @@ class ContactSamples:
         gap: Opening of each face (n, 3) [mm]; 0 for faces that a point does not have, and where
             bone never touches a stem.
         opening: Opening of the point, the largest of its faces (n,) [mm].
-        slip: Slip: tangential part of the jump at a point in contact, without the elastic part of a
-            layer; 0 where the point is open (n, 3) [mm]. Finite sliding: sum over the steps.
+        slip: Slip of the second side relative to the first, as declared (n, 3) [mm];
+            `mechanics.contact.TrialState.slip` defines it.
         path: Length of the path of sliding in contact (n,) [mm].
         motion: Displacement of the second side relative to the first, as declared (n, 3) [mm].
         micromotion: Motion since the insertion, if there is a press fit (n, 3) [mm].

@@ -105,14 +105,14 @@ def beyond_critical(problem: Problem) -> tuple[dict[str, float], list[Verdict]]:
             (float(critical[k]), tuple(contact.local.x[k])) if len(at_interface) else (np.inf, ())
         )
         smallest, x = min(problem.comm.allgather(local_smallest))
-        points_beyond = int((critical[at_interface] < term.law.friction).sum())
+        points_beyond = int((critical[at_interface] < term.law.largest_friction).sum())
         points_beyond = problem.comm.allreduce(points_beyond, MPI.SUM)
-        if term.law.friction == 0 or not np.isfinite(smallest):
+        if term.law.largest_friction == 0 or not np.isfinite(smallest):
             continue
         coefficients[term.name] = smallest
         if points_beyond:
             message = (
-                f"friction coefficient {term.law.friction:g} exceeds the critical value at"
+                f"friction coefficient {term.law.largest_friction:g} exceeds the critical value at"
                 f" {points_beyond} "
                 f"points (smallest {smallest:.3g}, at {point_text(x)}): solutions may not be "
                 "unique there"

@@ -130,7 +130,7 @@ def _owned_nodes(problem: Problem) -> Floats:
 def _frictions(problem: Problem) -> Floats:
     """Friction coefficients of the interfaces that may hold a body (i,)."""
     # A ball clears the rim of its cup, so the rim cannot wedge it.
-    return np.array([0.0 if c.between else c.law.friction for c in problem.scene.contacts])
+    return np.array([0.0 if c.between else c.law.largest_friction for c in problem.scene.contacts])
 
 
 def _pulls(problem: Problem, motion: Floats, pressures: Floats) -> list[str]:
@@ -189,14 +189,14 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[Verdict]:
     verdicts = []
     for i, term in enumerate(problem.scene.contacts):
         is_pressed = (contact.local.interface == i) & (normal > 0)
-        slips = is_pressed & (shear >= ALL_OF_IT * term.law.friction * normal)
+        slips = is_pressed & (shear >= ALL_OF_IT * term.law.largest_friction * normal)
         local = np.array(
             [contact.local.weight[slips].sum(), contact.local.weight[is_pressed].sum()]
         )
         slip, touch = problem.comm.allreduce(local)
         bodies = problem.comm.allgather(set(contact.local.bodies[is_pressed].ravel().tolist()))
         loose = set().union(*bodies) - fixed_bodies
-        if term.law.friction > 0 and touch and slip >= SLIDES * touch and loose:
+        if term.law.largest_friction > 0 and touch and slip >= SLIDES * touch and loose:
             body_names = "' and '".join(problem.bodies.names[b] for b in sorted(loose))
             message = (
                 f"friction hardly holds body '{body_names}': {100 * slip / touch:.0f} % of the "
@@ -367,7 +367,8 @@ def held_by_facets(problem: Problem, trial: TrialState) -> Verdict | None:
     resists, however slight.
     """
     smooth = [
-        c.law.can_open and c.law.friction == 0 and not c.between for c in problem.scene.contacts
+        c.law.can_open and c.law.largest_friction == 0 and not c.between
+        for c in problem.scene.contacts
     ]
     if not any(smooth):
         return None
