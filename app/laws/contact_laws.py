@@ -247,7 +247,7 @@ class ElasticLayer(Section):
     """Shear stress per shear displacement of the layer."""
 
 
-class Coulomb(Unilateral):
+class Contact(Unilateral):
     """Unilateral contact with Coulomb friction, exactly: augmented Lagrangian."""
 
     kind: Literal["contact"] = "contact"
@@ -266,7 +266,7 @@ class Coulomb(Unilateral):
     """Augmentation parameter r; by default it is chosen. Results do not depend on it."""
 
     @model_validator(mode="after")
-    def _check_sliding_keys(self) -> Coulomb:
+    def _check_sliding_keys(self) -> Contact:
         finite = self.sliding == "finite"
         for key in FINITE_SLIDING_KEYS:
             if getattr(self, key) is not None and not finite:

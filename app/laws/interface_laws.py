@@ -166,7 +166,7 @@ class InterfaceLaw(Extensible):
     =======================  ========  ========  ==========  ================
     Bonded                   no        no        no          no
     Unilateral (base)        yes       yes       yes         yes
-    - Coulomb, Penalty       yes       yes       yes         yes
+    - Contact, Penalty       yes       yes       yes         yes
     Traction (base)          yes       no        no          no
     - Cohesive               yes       yes       no          yes
     Frictional (mix-in)      yes       no        no          no

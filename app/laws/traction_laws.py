@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 from pydantic import model_validator
 
-from app.laws.contact_laws import Coulomb
+from app.laws.contact_laws import Contact
 from app.laws.interface_laws import AtPoint, Frictional, GapState, InterfaceLaw
 from app.laws.values import (
     FractureEnergyField,
@@ -95,11 +95,11 @@ class Traction(InterfaceLaw):
         return STICK * as_ufl(1.0)
 
     @property
-    def debonded_contact(self) -> Coulomb | None:
+    def debonded_contact(self) -> Contact | None:
         """Contact law of the debonded area, if the subclass defines `debonded_share`."""
         if type(self).debonded_share is Traction.debonded_share:
             return None
-        return Coulomb(friction_coefficient=self.largest_friction)
+        return Contact(friction_coefficient=self.largest_friction)
 
     def constants_at_points(self, interface: str, stem: StemPlaces) -> dict[str, Field]:
         """Functions of points (n, 3) that return the constants there (n,), by name.

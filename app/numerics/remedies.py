@@ -11,7 +11,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.numerics.newton import REASONS, NewtonResult, Solver
-from app.numerics.system import Contact
+from app.numerics.system import SolvedContact
 
 log = logging.getLogger("mantle")
 
@@ -88,7 +88,7 @@ def solve(solver: Solver) -> NewtonResult:
     )
 
 
-def _refine(solver: Solver, contact: Contact) -> tuple[float, tuple[int, int]]:
+def _refine(solver: Solver, contact: SolvedContact) -> tuple[float, tuple[int, int]]:
     """Continue with the default augmentation: gaps and slips are wrong by the residual over r.
 
     Returns:
@@ -216,7 +216,9 @@ def _with_switched_interfaces(
         yield usual_remedy
 
 
-def _with_tresca_friction(solver: Solver, start: PETSc.Vec, contact: Contact) -> Iterator[str]:
+def _with_tresca_friction(
+    solver: Solver, start: PETSc.Vec, contact: SolvedContact
+) -> Iterator[str]:
     """Solve from the start with friction under given pressures, then from there with Coulomb's.
 
     Where a solve under given pressures does not converge, the state is that before the remedy.
@@ -236,7 +238,7 @@ def _with_tresca_friction(solver: Solver, start: PETSc.Vec, contact: Contact) ->
         before.copy(solver.x)
 
 
-def _following_pressures(solver: Solver, contact: Contact) -> Iterator[str]:
+def _following_pressures(solver: Solver, contact: SolvedContact) -> Iterator[str]:
     """Let the given pressures follow those of the state until both are the same."""
     for share in SHARES:
         least, updates = math.inf, 0
@@ -280,6 +282,6 @@ def failure_text(solver: Solver) -> str:
     return f"not converging (residual {solver.residuals[-1]:.1e}{changing})"
 
 
-def _augmentation_text(contact: Contact) -> str:
+def _augmentation_text(contact: SolvedContact) -> str:
     values = contact.augmentation().values()
     return f" (up to {max(values):.3g} MPa/mm)" if values else ""

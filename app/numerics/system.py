@@ -57,7 +57,7 @@ class ContactLaw(Protocol):
         """Geometric mean of the default augmentation over the one of the case [-]; collective."""
 
 
-class Contact(Protocol):
+class SolvedContact(Protocol):
     """Interface between the nonlinear solver and the contact of a system.
 
     `app.mechanics.contact.ContactInterfaces` implements it, and says more.
@@ -110,7 +110,7 @@ class System(Protocol):
     newton: Options = {}  # noqa: RUF012
     # Shared inverses of diagonal blocks, by block.
     inverses: Mapping[str, Inverse] = {}
-    contact: Contact | None = None
+    contact: SolvedContact | None = None
     # Newton iterations that are taken from a state that is in balance, if its residual is not zero.
     min_iterations: int = 0
 

@@ -22,7 +22,7 @@ from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.core.expr import Expr
 
 from app.foundation.arrays import Floats
-from app.laws.contact_laws import Coulomb
+from app.laws.contact_laws import Contact
 from app.mechanics.contact_state import ContactState, LocalPoints
 from app.mechanics.point_forces import PointForces
 from app.mechanics.point_laws import PointLaws, gap_vectors
@@ -135,7 +135,7 @@ def law_of(p: Points, friction: bool, prescribed: Floats | None = None) -> Point
     held = tensors if prescribed is None else prescribed
     local_points = LocalPoints(number, number, none, sides, faces, normals, np.ones(n), held, held)
     law = PointLaws(MPI.COMM_SELF, local_points, Timing())
-    laws = [Coulomb(friction_coefficient=float(μ) * friction) for μ in p.μ]
+    laws = [Contact(friction_coefficient=float(μ) * friction) for μ in p.μ]
     law.begin(laws, {"μ": p.μ * friction}, 1.0, tensors + np.eye(3))
     return law
 

@@ -9,12 +9,12 @@ import pytest
 from pydantic import ValidationError
 
 from app.foundation.arrays import Bools, Floats
-from app.laws.contact_laws import OFF_BONE, Coulomb, Penalty
+from app.laws.contact_laws import OFF_BONE, Contact, Penalty
 from app.laws.values import NoStem
 
 
-def contact(**keys: object) -> Coulomb:
-    return Coulomb.model_validate({"kind": "contact", "friction_coefficient": 0.3, **keys})
+def contact(**keys: object) -> Contact:
+    return Contact.model_validate({"kind": "contact", "friction_coefficient": 0.3, **keys})
 
 
 def heights(*z: float) -> Floats:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.foundation.arrays import Floats
-from app.laws.contact_laws import Coulomb
+from app.laws.contact_laws import Contact
 from app.mechanics.contact_state import ContactState, LocalPoints
 from app.mechanics.debonded_contact import DebondedContact, Debonding, debonded_contact
 from app.mechanics.point_forces import PointForces
@@ -161,6 +161,6 @@ def response(force: Floats, normals: Floats, faces: int, μ: float) -> PointForc
     )
     laws = PointLaws(MPI.COMM_SELF, points, Timing())
     laws.begin(
-        [Coulomb(friction_coefficient=μ)], {"μ": np.full(n, μ)}, 1.0, np.tile(EYE, (n, 1, 1))
+        [Contact(friction_coefficient=μ)], {"μ": np.full(n, μ)}, 1.0, np.tile(EYE, (n, 1, 1))
     )
     return laws.evaluate(force, none, none, ContactState.at_rest(none, {}), Switches.off(n))

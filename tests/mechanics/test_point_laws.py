@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from app.laws.contact_laws import Coulomb
+from app.laws.contact_laws import Contact
 from app.laws.traction_laws import Traction
 from app.mechanics import point_laws
 
@@ -17,7 +17,7 @@ def test_point_laws_are_compiled_again_if_a_formula_changes(
     """A helper of a formula counts, whatever module has it."""
     helper = tmp_path / "helper.py"
     monkeypatch.setattr(point_laws, "SOURCE_FOLDERS", (*point_laws.SOURCE_FOLDERS, tmp_path))
-    law = Coulomb(friction_coefficient=0.3)
+    law = Contact(friction_coefficient=0.3)
     notes = set()
     for text in ("a = 1", "a = 2"):
         helper.write_text(text)

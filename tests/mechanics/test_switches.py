@@ -9,7 +9,7 @@ from mpi4py import MPI
 import numpy as np
 
 from app.foundation.arrays import Floats
-from app.laws.contact_laws import Coulomb
+from app.laws.contact_laws import Contact
 from app.mechanics.contact_state import ContactState, LocalPoints
 from app.mechanics.point_forces import PointForces
 from app.mechanics.point_laws import PointLaws
@@ -35,7 +35,7 @@ def forces(switches: Switches) -> PointForces:
     )
     laws = PointLaws(MPI.COMM_SELF, points, Timing())
     stiffness = np.tile(R * np.eye(3), (n, 1, 1))
-    laws.begin([Coulomb(friction_coefficient=MU)], {"μ": np.full(n, MU)}, 1.0, stiffness)
+    laws.begin([Contact(friction_coefficient=MU)], {"μ": np.full(n, MU)}, 1.0, stiffness)
     return laws.evaluate(FORCE, none, none, ContactState.at_rest(none, {}), switches)
 
 

@@ -13,7 +13,7 @@ import mantle
 from app.case.case import load
 from app.foundation.errors import ConvergenceError, InputError
 from app.foundation.verdict import Verdict
-from app.laws.contact_laws import Coulomb
+from app.laws.contact_laws import Contact
 from app.laws.interface_laws import insertion_stages
 from app.laws.values import gap_settled
 from app.press_fit.findings import _beyond_yield, _ingrowth, _raised_collar
@@ -47,8 +47,8 @@ INTERFERENCE = 0.02  # mm
 SHIFT = 0.03  # mm
 
 
-def law(**keys: object) -> Coulomb:
-    return Coulomb.model_validate({"kind": "contact", "friction_coefficient": 0.3, **keys})
+def law(**keys: object) -> Contact:
+    return Contact.model_validate({"kind": "contact", "friction_coefficient": 0.3, **keys})
 
 
 @pytest.mark.parametrize(
