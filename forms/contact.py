@@ -1,5 +1,9 @@
 r"""Unilateral contact with Coulomb friction at a point of an interface.
 
+`contact_law` is the one formula of Coulomb's law in the program. `app.mechanics.point_laws`
+evaluates it, `prescribed_slip` along jumps that supports prescribe, `debonded_contact` on the
+debonded share of a cohesive interface, `switches` under given pressures.
+
 Equations 57 and 63 to 65 are those of the paper, Ramaniraka and others (docs/theory.md).
 
 A contact point has the gap vector D (slave minus master) [mm] and the interface force per area
@@ -116,9 +120,8 @@ class Response:
         pressures: Pressure of each face, positive in compression [MPa].
         status: OPEN, STICK or SLIP, as a number.
         internal_variables: Internal variables after a converged step, by name.
-        slip: Slip: tangential part of the jump at a point in contact, without the elastic part of a
-            layer; 0 where the point is open (3,) [mm]. None for laws without slip and for contact,
-            whose slip follows from the jump (`app.mechanics.contact.TrialState.slip`).
+        slip: Slip (3,) [mm], as `app.mechanics.contact.TrialState.slip` defines it. None for laws
+            without slip and for contact, whose slip that method computes.
         stored: Stored energy per area [N/mm]; None if there is none.
         dissipated: Energy per area that a step dissipates [N/mm]. None for contact, where friction
             dissipates, and for laws without dissipation.
@@ -193,6 +196,10 @@ def contact_law(
 ) -> Response:
     r"""Law of a contact point with one to three faces (eq. 65; eq. 57 with F = 0).
 
+    The derivative with respect to the jump is the projected force P(S). Faces touch if S presses
+    them, and also at S = 0, where a point sticks. A law that is open at S = 0 would have no
+    stiffness at rest, and bodies that nothing else holds would move away.
+
     Args:
         F: Multiplier (3,) [MPa], from `ContactInterfaces.multiplier` of `mechanics.contact`. An
             elastic layer in series changes it; the penalty method is such a layer.
@@ -203,6 +210,9 @@ def contact_law(
         normals: Unit normals of the faces, from master to slave, each (3,).
         μ: Friction coefficient [-]; None leaves every tangential term out.
         r: Augmentation [MPa/mm].
+
+    Returns:
+        Force, its derivative by the multiplier, pressures, status and energy.
     """
     f = variable(F)
     d = variable(jump)
@@ -227,43 +237,6 @@ def contact_law(
     by_multiplier = derivative(force, f)
     pressures, status = _pressures_and_status(states, len(normals))
     return Response(force, by_multiplier, None, pressures, status, energy=energy)
-
-
-def projected(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Scalar | None) -> Response:
-    """Projection P of a trial force, with the state of the point.
-
-    It is for laws of users that contain a layer (`tests/verification/test_law_from_outside.py`);
-    those of the program use `contact_law`. Faces touch if S presses them, and also at S = 0, where
-    a point sticks. A law that is open at S = 0 would have no stiffness at rest, and
-    bodies that nothing else holds would move away.
-
-    Args:
-        S: Trial force (3,) [MPa], whose normal part is projected.
-        dS: Trial force whose tangential part is projected (3,) [MPa]; often equal to S.
-        normals: Unit normals of the faces, from master to slave, each (3,).
-        μ: Friction coefficient [-]; None without friction.
-    """
-    states = _states(S, dS, normals, μ)
-
-    def carried_force(state: _Touching) -> Expr:
-        """Part of the trial force that the point carries in a state (3,) [MPa]."""
-        touching_normals = [normals[face] for face in state.faces]
-        normal_part = _combine(components(S, touching_normals), state.faces, normals)
-        if state.sticks is None:
-            return normal_part
-        square = inner(state.tangential, state.tangential)
-        size = sqrt(conditional(state.sticks, 1, square))
-        factor = conditional(state.sticks, 1, state.radius / size)
-        return normal_part + factor * state.tangential
-
-    forces = [carried_force(state) for state in states]
-
-    def force_component(component: int, k: int) -> Expr:
-        return forces[k][component]
-
-    force = as_vector([_choose(states, partial(force_component, i)) for i in range(3)])
-    pressures, status = _pressures_and_status(states, len(normals))
-    return Response(force, None, None, pressures, status)
 
 
 def _states(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Scalar | None) -> list[_Touching]:
@@ -339,7 +312,10 @@ def _touching(
 
 
 def _friction(μ: Scalar | None, p: Sequence[Scalar], S_T: Scalar) -> tuple[Scalar, Scalar]:
-    """Radius of the friction disc [MPa] and condition of stick; None without friction."""
+    """Radius of the friction disc [MPa] and condition of stick; None without friction.
+
+    `app.mechanics.debonded_contact` relies on a radius proportional to μ.
+    """
     if μ is None:
         return None, None
     radius = μ * sum(p[1:], p[0])

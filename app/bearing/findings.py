@@ -24,7 +24,7 @@ def _wear(case: Case) -> Iterable[Fault]:
         path = ("interfaces", name, "wear_coefficient")
         if not law.finite_sliding:
             yield Fault(path, "needs `sliding: finite` in the same interface")
-        elif not law.friction > 0:
+        elif not law.largest_friction > 0:
             yield Fault(path, "wear needs friction; expected a friction_coefficient above 0")
 
 

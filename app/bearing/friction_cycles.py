@@ -298,7 +298,10 @@ class Bearing:
         fields, law = {"slid": (slid, master_slid)}, self._interface.law
         k = wear_coefficient_of(law)
         if k is not None:
-            fields["wear"] = k / law.friction * energy, k / law.friction * master_energy
+            fields["wear"] = (
+                k / law.largest_friction * energy,
+                k / law.largest_friction * master_energy,
+            )
         return fields
 
     def cycle(self) -> dict[str, float]:

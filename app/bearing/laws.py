@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from app.laws.contact_laws import Coulomb
+from app.laws.contact_laws import Contact
 from app.laws.interface_laws import InterfaceLaw
 from app.schema.section import add_key
 from app.schema.units import Dimension
@@ -13,7 +13,7 @@ _WEAR = Dimension("mm^2/N", "a wear coefficient", "1.07e-6 mm^3/(N m)", above=0.
 WearCoefficient = Annotated[float, _WEAR]
 
 add_key(
-    Coulomb,
+    Contact,
     "wear_coefficient",
     WearCoefficient,
     "Worn volume per force and slid distance (Archard), where `sliding` is finite.",

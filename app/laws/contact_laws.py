@@ -83,7 +83,7 @@ class Unilateral(Frictional):
 
     @model_validator(mode="after")
     def _check_friction_heating(self) -> Unilateral:
-        if self.friction_heating is not None and self.friction == 0.0:
+        if self.friction_heating is not None and self.largest_friction == 0.0:
             fail(
                 "needs friction; expected a friction_coefficient above 0", at=("friction_heating",)
             )
@@ -100,7 +100,7 @@ class Unilateral(Frictional):
         return self.friction_heating
 
     @property
-    def friction(self) -> float:
+    def largest_friction(self) -> float:
         """The largest `friction_coefficient` of the interface and its zones."""
         zones = [zone.friction_coefficient for zone in self.surface_zones.values()]
         return max([self.friction_coefficient, *(μ for μ in zones if μ is not None)])
@@ -113,8 +113,8 @@ class Unilateral(Frictional):
         return gaps
 
     @property
-    def has_gap(self) -> bool:
-        """True if a key gives a gap or an interference."""
+    def has_initial_gap(self) -> bool:
+        """True if a key gives a gap or an interference, of the interface or of a zone."""
         return any(surface.gap or surface.interference for surface in self.gaps.values())
 
     @property
@@ -123,7 +123,7 @@ class Unilateral(Frictional):
         return any(surface.interference is not None for surface in self.gaps.values())
 
     @property
-    def interferes(self) -> bool:
+    def overlaps_initially(self) -> bool:
         """True if an interference or a negative gap is given, of the interface or of a zone."""
         return self.is_press_fit or any(
             isinstance(surface.gap, float) and surface.gap < 0.0 for surface in self.gaps.values()
@@ -138,7 +138,7 @@ class Unilateral(Frictional):
     def without_effect(self) -> dict[tuple[str, ...], str]:
         """Reasons why given keys have no effect, by path."""
         reasons = super().without_effect
-        if not self.has_gap:
+        if not self.has_initial_gap:
             reasons[("gap_history",)] = "there is no gap and no interference"
         zones = list(self.surface_zones.items())
 
@@ -197,7 +197,7 @@ class Unilateral(Frictional):
 
     def constants_at_points(self, interface: str, stem: StemPlaces) -> dict[str, Field]:
         """Friction coefficient as function of points, under the name μ of the form; none if 0."""
-        if self.friction == 0.0:
+        if self.largest_friction == 0.0:
             return {}
 
         def friction(x: Floats) -> Floats:
@@ -213,12 +213,15 @@ class Unilateral(Frictional):
     @property
     def form(self) -> Hashable:
         """Contact, with or without friction."""
-        return "contact", self.friction > 0
+        return "contact", self.largest_friction > 0
 
     @property
     def constants(self) -> Mapping[str, float | str]:
-        """The friction coefficient, under the name μ of the form; none if it is 0."""
-        return {"μ": self.friction} if self.friction > 0 else {}
+        """The largest friction coefficient, under the name μ of the form; none if it is 0.
+
+        `constants_at_points` gives the coefficient of each point.
+        """
+        return {"μ": self.largest_friction} if self.largest_friction > 0 else {}
 
     def response(self, point: AtPoint) -> Response:
         """Law of the augmented Lagrangian at a point (eq. 65)."""
@@ -245,7 +248,7 @@ class ElasticLayer(Section):
     """Shear stress per shear displacement of the layer."""
 
 
-class Coulomb(Unilateral):
+class Contact(Unilateral):
     """Unilateral contact with Coulomb friction, exactly: augmented Lagrangian."""
 
     kind: Literal["contact"] = "contact"
@@ -264,7 +267,7 @@ class Coulomb(Unilateral):
     """Augmentation parameter r; by default it is chosen. Results do not depend on it."""
 
     @model_validator(mode="after")
-    def _check_sliding_keys(self) -> Coulomb:
+    def _check_sliding_keys(self) -> Contact:
         finite = self.sliding == "finite"
         for key in FINITE_SLIDING_KEYS:
             if getattr(self, key) is not None and not finite:

@@ -19,7 +19,7 @@ formula, edit `forms.contact`. The steps between pass every constant of a law on
     mechanics.contact.ContactInterfaces.residual   e + W P: forces of the bodies and of the law [N]
 
 The debonded area of a cohesive interface has a law of contact, `Traction.debonded_contact`, whose
-coefficient takes the same path; `PointLaws` multiplies it by the debonded share.
+coefficient takes the same path; `mechanics.debonded_contact` multiplies it by the debonded share.
 
 To add a law, derive from `Traction` (a force that is a function of the gap) or from `InterfaceLaw`.
 `Traction` says what its methods return and what becomes of it. `app/README.md` has an example.
@@ -173,14 +173,19 @@ class GapKeys(Protocol):
 class InterfaceLaw(Extensible):
     """Base of the interface laws. Each subclass with a `kind` is a law.
 
-    ==================  ========  ========  ==========  ================
-    law                 can_part  can_open  is_contact  has_augmentation
-    ==================  ========  ========  ==========  ================
-    Bonded              no        no        no          no
-    Coulomb, Penalty    yes       yes       yes         yes
-    Cohesive            yes       yes       no          yes
-    Traction (base)     yes       no        no          no
-    ==================  ========  ========  ==========  ================
+    =======================  ========  ========  ==========  ================
+    law                      can_part  can_open  is_contact  has_augmentation
+    =======================  ========  ========  ==========  ================
+    Bonded                   no        no        no          no
+    Unilateral (base)        yes       yes       yes         yes
+    - Contact, Penalty       yes       yes       yes         yes
+    Traction (base)          yes       no        no          no
+    - Cohesive               yes       yes       no          yes
+    Frictional (mix-in)      yes       no        no          no
+    =======================  ========  ========  ==========  ================
+
+    A law with a line below its base derives from it. `Frictional` adds the friction coefficient to
+    `Unilateral`, to `Cohesive`, and to laws from outside.
 
     Attributes:
         can_part: True if the sides can move relative to each other. The interface then has unknown
@@ -233,6 +238,11 @@ class InterfaceLaw(Extensible):
         """True if the conductance grows with the contact pressure."""
         return isinstance(self.conductance, PressureConductance)
 
+    # Some laws have keys for these properties. A key cannot have the name of a property of its
+    # base class, so the names differ: `sliding` gives `finite_sliding`, `quadrature`
+    # `mortar_points`, `between` `sliding_boundaries`, `friction_heating` `heated_by_friction`,
+    # `gap_history` `gap_multipliers`, and `zones` `surface_zones`.
+
     @property
     def finite_sliding(self) -> bool:
         """True if the sides may slide any distance."""
@@ -249,7 +259,7 @@ class InterfaceLaw(Extensible):
         return None
 
     @property
-    def friction(self) -> float:
+    def largest_friction(self) -> float:
         """Largest friction coefficient on the interface [-]; 0: no tangential term is compiled."""
         return 0.0
 
@@ -264,7 +274,7 @@ class InterfaceLaw(Extensible):
         return None
 
     @property
-    def has_gap(self) -> bool:
+    def has_initial_gap(self) -> bool:
         """True if the law gives an initial gap or an interference."""
         return False
 
@@ -274,7 +284,7 @@ class InterfaceLaw(Extensible):
         return False
 
     @property
-    def interferes(self) -> bool:
+    def overlaps_initially(self) -> bool:
         """True if a key gives an interference, or a negative number as gap."""
         return False
 
@@ -350,13 +360,16 @@ class InterfaceLaw(Extensible):
         """True if the response has `dissipated_by_jump`, so that `fracture_step` can control it."""
         return False
 
-    # `constants` are the inputs of the compiled law, by name. `constants_at_points` gives their
-    # values. `form` has everything else that the formula depends on: laws of equal form share
-    # compiled code.
+    # The names of `constants` are the inputs of the compiled law. `constants_at_points` gives their
+    # values at points. `form` has everything else that the formula depends on: laws of equal form
+    # share compiled code.
 
     @property
     def constants(self) -> Mapping[str, float | str | Patches]:
-        """Constants of the law, by name. They may differ between laws of one form."""
+        """Constants of the law by name, as the keys give them.
+
+        They may differ between laws of one form. A value may be an expression of the place.
+        """
         return {name: v for name, v in self._added_fields().items() if self._varies(name, v)}
 
     @property
@@ -422,7 +435,7 @@ def insertion_stages(laws: Mapping[str, InterfaceLaw], press_fits: Collection[st
     pressed = [
         law
         for name, law in laws.items()
-        if law.is_press_fit or (law.interferes and name in press_fits)
+        if law.is_press_fit or (law.overlaps_initially and name in press_fits)
     ]
     ends = [gap_settled(np.array([-1.0]), law.gap_multipliers or ()) for law in pressed]
     return round(max(ends, default=0.0))
@@ -452,7 +465,7 @@ class Frictional(InterfaceLaw):
     """Coulomb's coefficient; 0 for none."""
 
     @property
-    def friction(self) -> float:
+    def largest_friction(self) -> float:
         """The key `friction_coefficient`."""
         return self.friction_coefficient
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 from pydantic import model_validator
 
-from app.laws.contact_laws import Coulomb
+from app.laws.contact_laws import Contact
 from app.laws.interface_laws import AtPoint, Frictional, GapState, InterfaceLaw
 from app.laws.values import (
     FractureEnergyField,
@@ -47,7 +47,7 @@ class Traction(InterfaceLaw):
     .. math:: T + P(F - T + r D),
 
     with P the response of contact without cohesion and the friction coefficient s μ, its work
-    counted as friction (`mechanics.point_laws.PointLaws.evaluate`). `new_internal_variables` are
+    counted as friction (`mechanics.debonded_contact`). `new_internal_variables` are
     committed with a converged step. The other results are numbers and fields of the run alone, but
     `dissipated` also sets the steps of a stage with `fracture_step`.
     """
@@ -95,11 +95,11 @@ class Traction(InterfaceLaw):
         return STICK * as_ufl(1.0)
 
     @property
-    def debonded_contact(self) -> Coulomb | None:
+    def debonded_contact(self) -> Contact | None:
         """Contact law of the debonded area, if the subclass defines `debonded_share`."""
         if type(self).debonded_share is Traction.debonded_share:
             return None
-        return Coulomb(friction_coefficient=self.friction)
+        return Contact(friction_coefficient=self.largest_friction)
 
     def constants_at_points(self, interface: str, stem: StemPlaces) -> dict[str, Field]:
         """Functions of points (n, 3) that return the constants there (n,), by name.
@@ -189,7 +189,7 @@ class Cohesive(Frictional, Traction):
     @property
     def form(self) -> Hashable:
         """Cohesion by its softening, with or without friction."""
-        return "cohesive", self.softening, self.friction > 0
+        return "cohesive", self.softening, self.largest_friction > 0
 
     def cohesive_state(self, point: GapState) -> CohesiveState:
         """Cohesive response of a point at a gap.

@@ -44,8 +44,10 @@ from app.mechanics.contact_state import (
 )
 from app.mechanics.finite_sliding import PAIRING_ACCURACY, FiniteSliding
 from app.mechanics.jump_coupling import JumpCoupling
-from app.mechanics.point_laws import PointForces, PointLaws, gap_vectors
+from app.mechanics.point_forces import PointForces
+from app.mechanics.point_laws import PointLaws, gap_vectors
 from app.mechanics.stiffness import Stiffness
+from app.mechanics.switches import Switches
 from app.numerics.sparse import owners
 from app.scene.bodies import contact_facets
 from app.scene.frames import vertex_constraints
@@ -88,9 +90,8 @@ class TrialState:
         force = law.force + np.einsum("pk,pki->pi", law.pressures, contact.local.normals)
         force_deficit = contact.local.project_free(contact.multiplier(self.equilibrium) - force)
         motion = self.jump - contact.reference + force_deficit / contact.laws.augmentation[:, None]
-        is_slipping = (contact.laws.frictional & contact.laws.slides & (law.status == SLIP))[
-            :, None
-        ]
+        has_friction = contact.laws.law_has_friction & contact.laws.law_is_contact
+        is_slipping = (has_friction & (law.status == SLIP))[:, None]
         closed_faces = self._closed_faces(motion)
         friction = np.where(is_slipping, contact.local.tangential(force, closed_faces), 0.0)
         slip = np.where(is_slipping, contact.local.tangential(motion, closed_faces), 0.0)
@@ -107,7 +108,7 @@ class TrialState:
         return np.asarray((self.forces.pressures > 0) | is_nearly_closed)
 
     def slip(self, friction: Floats) -> Floats:
-        """Slip (n, 3) [mm] under a friction (n, 3) [MPa].
+        """Slip (n, 3) [mm] under a friction (n, 3) [MPa]: the definition of slip in the program.
 
         It is the tangential part of the jump at a point in contact (d_T of eq. 3), without the
         elastic part of a layer; 0 where the point is open. In small sliding it follows from the
@@ -116,7 +117,9 @@ class TrialState:
         """
         contact = self.contact
         sliding_motion = self.sliding(self.jump - self._layer_stretch(friction))
-        slip = np.where(contact.laws.slides[:, None], sliding_motion, self.forces.outputs["slip"])
+        slip = np.where(
+            contact.laws.law_is_contact[:, None], sliding_motion, self.forces.outputs["slip"]
+        )
         if contact.finite_sliding is not None:
             rows = contact.finite_sliding.rows
             slip[rows] = (
@@ -129,7 +132,7 @@ class TrialState:
 
     def sliding(self, motion: Floats) -> Floats:
         """Tangential part of a motion where points touch, 0 where they are open (n, 3) [mm]."""
-        is_touching = (self.contact.laws.can_open & (self.forces.status != OPEN))[:, None]
+        is_touching = (self.contact.laws.law_can_open & (self.forces.status != OPEN))[:, None]
         tangential = self.contact.local.tangential(motion, self._closed_faces(motion))
         return np.where(is_touching, tangential, 0.0)
 
@@ -161,7 +164,7 @@ class TrialState:
         dissipated = weight * (outputs["dissipated"] + law.debonded_friction_work + friction_work)
         layer_energy = np.einsum("pi,pij,pj->p", force, contact.laws.compliance, force) / 2
         slip_step = self.sliding(step - self._layer_stretch(friction - before.friction))
-        slip_step = np.where(contact.laws.slides[:, None], slip_step, slip - before.slip)
+        slip_step = np.where(contact.laws.law_is_contact[:, None], slip_step, slip - before.slip)
         slip_length = np.linalg.norm(slip_step, axis=1)
         contact_work = (
             np.einsum(
@@ -202,6 +205,7 @@ class ContactInterfaces:
         coupling: Coupling of the jumps to the displacement.
         laws: Laws at the local points.
         motions: Rigid motions of the bodies at the points.
+        switches: Changes of the laws that remedies of Newton's method have made.
         state: Committed state of the local points.
         gap: Initial gap at the current time (n, 3) [mm].
         finite_sliding: Points with finite sliding, if any.
@@ -304,6 +308,8 @@ class ContactInterfaces:
         self.insertion_time = max(settling_times, default=0.0) + TIME_ROUNDING
         laws = [c.law for c in contacts]
         self.laws.begin(laws, local_values, augmentation_factor, self.coupling.local_stiffness())
+        self.switches = Switches.off(len(self.local))
+        self._last_trial_force: Floats = np.zeros((len(self.local), 3))
         if self.finite_sliding is not None:
             self.finite_sliding.begin(scene)
         self._committed_time = 0.0
@@ -420,9 +426,7 @@ class ContactInterfaces:
         Returns:
             True if interfaces are constrained.
         """
-        # Filled below. The laws have it already: `ContactMotions` reads it there.
         constrained = np.zeros(len(self.local), dtype=bool)
-        self.laws.constrained = constrained
         gap = self._clearance.copy()
         if self.finite_sliding is not None:
             gap[self.finite_sliding.rows] += self.finite_sliding.paired.gap
@@ -438,16 +442,18 @@ class ContactInterfaces:
                 continue
             if has_touching:
                 if floating is None:
-                    floating = self.motions.numbers_of_floating_bodies(is_touching)
+                    floating = self.motions.numbers_of_floating_bodies(is_touching, constrained)
                 bodies = {int(b) for b in np.unique(self.points.bodies[self.points.interface == i])}
                 if bodies.isdisjoint(floating):
                     continue
             constrained |= at_interface
+        self.switches = replace(self.switches, constrained=constrained)
         return bool(self.comm.allreduce(bool(constrained.any()), MPI.LOR))
 
     def release(self) -> None:
         """Release constrained interfaces."""
-        self.laws.constrained = np.zeros(len(self.local), dtype=bool)
+        none = np.zeros(len(self.local), dtype=bool)
+        self.switches = replace(self.switches, constrained=none)
 
     def is_apart(self) -> bool:
         """Return True if no point touches in the committed state; collective."""
@@ -465,12 +471,72 @@ class ContactInterfaces:
         Returns:
             True if interfaces are opened.
         """
-        self.laws.opened = self.laws.has_contact & self.laws.can_open
-        return bool(self.comm.allreduce(bool(self.laws.opened.any()), MPI.LOR))
+        opened = self.laws.law_has_contact & self.laws.law_can_open
+        self.switches = replace(self.switches, opened=opened)
+        return bool(self.comm.allreduce(bool(opened.any()), MPI.LOR))
 
     def allow_closing(self) -> None:
         """Let opened interfaces close."""
-        self.laws.opened = np.zeros(len(self.local), dtype=bool)
+        none = np.zeros(len(self.local), dtype=bool)
+        self.switches = replace(self.switches, opened=none)
+
+    def freeze(self) -> bool:
+        """Freeze the internal variables; return True if there are any."""
+        freezes_variables = bool(self.laws.internal_variables)
+        self.switches = replace(self.switches, freezes_variables=freezes_variables)
+        return freezes_variables
+
+    def unfreeze(self) -> None:
+        """Let the internal variables change."""
+        self.switches = replace(self.switches, freezes_variables=False)
+
+    def begin_tresca_friction(self) -> bool:
+        """Limit friction by given pressures, zero at first; collective.
+
+        The problem with given pressures is that of Tresca: it is convex, and has one solution.
+        Friction of the debonded area of a cohesive law stays as it is.
+
+        Returns:
+            True if there is contact with friction.
+        """
+        has_local_friction = bool((self.laws.law_has_friction & self.laws.law_is_contact).any())
+        has_friction = bool(self.comm.allreduce(has_local_friction, MPI.LOR))
+        if has_friction:
+            none = np.zeros((len(self.local), 3))
+            self.switches = replace(self.switches, tresca_force=none)
+        return has_friction
+
+    def relax_tresca_friction(self, share: float) -> float:
+        """Move the given pressures by a share towards those of the last state; collective.
+
+        The last state is the one of the last evaluation.
+
+        Returns:
+            Norm of the difference of the trial forces over that of the last ones [-].
+
+        Raises:
+            ValueError: Friction is not limited by given pressures.
+        """
+        given, last = self.switches.tresca_force, self._last_trial_force
+        if given is None:
+            raise ValueError("friction is not limited by given pressures")
+        difference = last - given
+        self.switches = replace(self.switches, tresca_force=given + share * difference)
+        squares = np.array([(difference**2).sum(), (last**2).sum()])
+        change, size = np.sqrt(self.comm.allreduce(squares, MPI.SUM))
+        return float(change / size) if size else 0.0
+
+    def end_tresca_friction(self) -> None:
+        """Limit friction by the pressures of the state."""
+        self.switches = replace(self.switches, tresca_force=None)
+
+    def unresisted_motions(self, status: Ints) -> Floats:
+        """Rigid motions that nothing resists at states (n,); collective."""
+        return self.motions.unresisted(status, self.switches.constrained)
+
+    def motions_resisted_by_open_points(self, status: Ints) -> Floats:
+        """Rigid motions that only open points resist (6 bodies, k); collective."""
+        return self.motions.resisted_by_open_points(status, self.switches.constrained)
 
     def approach(self, f: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:
         """Move bodies without contact along forces f [N] until they overlap slightly; collective.
@@ -537,7 +603,11 @@ class ContactInterfaces:
         state = self.state
         if self.finite_sliding is not None:
             state = replace(state, jump=self.reference)
-        return self.laws.evaluate(self.multiplier(e), self.with_prescribed(q), self.gap, state)
+        forces = self.laws.evaluate(
+            self.multiplier(e), self.with_prescribed(q), self.gap, state, self.switches
+        )
+        self._last_trial_force = forces.trial_force
+        return forces
 
     def with_prescribed(self, q: Floats) -> Floats:
         """Return jumps (n, 3) with prescribed components in place of the solver's [mm]."""

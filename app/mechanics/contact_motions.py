@@ -63,20 +63,25 @@ class ContactMotions:
         """Forget the resistance of supports, because other supports act."""
         self._support_resistance = None
 
-    def numbers_of_floating_bodies(self, touched: Bools) -> set[int]:
+    def numbers_of_floating_bodies(self, touched: Bools, constrained: Bools) -> set[int]:
         """Numbers of bodies that neither supports nor touching points hold; collective.
 
         Friction and bonds hold a touching point in all directions, otherwise its faces hold it.
+
+        Args:
+            touched: Mask of local points that touch (n,).
+            constrained: Mask of local points that a remedy forces to stick (n,).
         """
+        resists = self._resists_all_jumps(constrained)
         free_motions = self._weakly_resisted_motions(
-            touched & self._resists_all_jumps, touched & ~self._resists_all_jumps, FREE_RESISTANCE
+            touched & resists, touched & ~resists, FREE_RESISTANCE
         )
         takes_part = (
             np.linalg.norm(free_motions.reshape(self._body_count, -1), axis=1) > MOVING_SIZE
         )
         return {int(body) for body in np.flatnonzero(takes_part)}
 
-    def unresisted(self, status: Ints) -> Floats:
+    def unresisted(self, status: Ints, constrained: Bools) -> Floats:
         """Rigid motions that nothing resists in a state (6 bodies, k); collective.
 
         In such a motion bodies slide along all their faces, touching or not. No touching point with
@@ -86,33 +91,38 @@ class ContactMotions:
 
         Args:
             status: States of local points (n,).
+            constrained: Mask of local points that a remedy forces to stick (n,).
         """
         if self._has_finite_sliding:
             return np.zeros((6 * self._body_count, 0))
-        stick = self._touching_points(status) & self._resists_all_jumps
+        touch = (status != OPEN) | constrained
+        stick = touch & self._resists_all_jumps(constrained)
         return self._weakly_resisted_motions(stick, ~stick, ZERO_RESISTANCE)
 
-    def resisted_by_open_points(self, status: Ints) -> Floats:
+    def resisted_by_open_points(self, status: Ints, constrained: Bools) -> Floats:
         """Rigid motions that only open points resist (6 bodies, k); collective.
 
         The motions of `unresisted` are not among them.
+
+        Args:
+            status: States of local points (n,).
+            constrained: Mask of local points that a remedy forces to stick (n,).
         """
         if self._has_finite_sliding:
             return np.zeros((6 * self._body_count, 0))
-        touch = self._touching_points(status)
-        free_motions = self._weakly_resisted_motions(
-            touch & self._resists_all_jumps, touch & ~self._resists_all_jumps, FREE_RESISTANCE
+        touch = (status != OPEN) | constrained
+        resists = self._resists_all_jumps(constrained)
+        weakly_resisted = self._weakly_resisted_motions(
+            touch & resists, touch & ~resists, FREE_RESISTANCE
         )
-        return motions_outside(free_motions, self.unresisted(status))
+        return motions_outside(weakly_resisted, self.unresisted(status, constrained))
 
-    def _touching_points(self, status: Ints) -> Bools:
-        """Mask of points that touch in a state, or are constrained (n,)."""
-        return (status != OPEN) | self._law.constrained
+    def _resists_all_jumps(self, constrained: Bools) -> Bools:
+        """Mask of points that resist any jump if they touch (n,).
 
-    @property
-    def _resists_all_jumps(self) -> Bools:
-        """Mask of points that resist any jump if they touch, by friction or a bond (n,)."""
-        return self._law.frictional | ~self._law.slides | self._law.constrained
+        Friction, a bond, or a remedy resists.
+        """
+        return self._law.law_has_friction | ~self._law.law_is_contact | constrained
 
     def _weakly_resisted_motions(self, stick: Bools, slide: Bools, threshold: float) -> Floats:
         """Rigid motions resisted by less than a threshold (6 bodies, k); collective.

@@ -95,9 +95,7 @@ class ContactState:
         force: Interface force per area, conjugate to the jump (n, 3) [MPa].
         friction: Friction part of the force (n, 3) [MPa].
         gap_vector: Jump plus initial gap (n, 3) [mm].
-        slip: Slip: tangential part of the jump at a point in contact, without the elastic part of a
-            layer; 0 where the point is open (n, 3) [mm]. Finite sliding: sum over the steps, kept
-            where the point opens.
+        slip: Slip (n, 3) [mm]; `mechanics.contact.TrialState.slip` defines it.
         step_slip: Length of sliding in contact in the last step (n,) [mm].
         path: Length of the path of sliding in contact (n,) [mm].
         stored: Energy stored by laws of interfaces (n,) [N mm].

@@ -190,7 +190,7 @@ class WarmStart:
     def _state(self) -> StateWithInputs:
         problem = self._problem
         contacts = problem.scene.contacts if problem.comm.rank == 0 else ()
-        friction = np.log([max(c.law.friction, SMALLEST_FRICTION) for c in contacts])
+        friction = np.log([max(c.law.largest_friction, SMALLEST_FRICTION) for c in contacts])
         gaps = problem.contact.gap.ravel() if problem.contact else np.zeros(0)
         return self._solver.x.copy(), (problem.f.array.copy(), gaps, friction)
 

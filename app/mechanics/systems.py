@@ -15,7 +15,7 @@ import numpy as np
 from app.foundation.arrays import Floats, Ints
 from app.mechanics.coarse_space import displacement_by_motions, free_directions, sliding_motions
 from app.mechanics.contact import ContactInterfaces, TrialState
-from app.mechanics.point_laws import PointForces
+from app.mechanics.point_forces import PointForces
 from app.mechanics.problem import Problem
 from app.numerics.choice import SolverChoice
 from app.numerics.deflation import CoarseSpace
@@ -168,7 +168,7 @@ class ContactSystem(BondedSystem):
         normal_error = contact.points.normal_error[contact.local.rows]
         if not contact.points.normal_error.any():
             return r.ravel()
-        motions = contact.motions.unresisted(law.status)
+        motions = contact.unresisted_motions(law.status)
         if not motions.shape[1]:
             return r.ravel()
         jumps, w = contact.motions.relative(motions), contact.local.weight
@@ -212,7 +212,7 @@ class ContactSystem(BondedSystem):
     def _moves_floating_bodies(self) -> bool:
         """Return True if forces move bodies that only open points resist; collective."""
         contact, law = self.contact, self.trial.forces
-        motions = contact.motions.resisted_by_open_points(law.status)
+        motions = contact.motions_resisted_by_open_points(law.status)
         if not motions.shape[1]:
             return False
         forces = self._problem.f_q.reshape(-1, 3) - contact.local.weight[:, None] * law.force
@@ -294,7 +294,7 @@ class ContactSystem(BondedSystem):
 
     def free_jumps(self) -> Floats:
         """Jumps of rigid motions that nothing resists at the last state (n, 3, k); collective."""
-        return self.contact.motions.relative(self.contact.motions.unresisted(self.law_status))
+        return self.contact.motions.relative(self.contact.unresisted_motions(self.law_status))
 
     def settle(self, x: list[PETSc.Vec]) -> bool:
         """Remove rigid motions that nothing resists from the last step of a state; collective.
@@ -305,7 +305,7 @@ class ContactSystem(BondedSystem):
             True if the state changes.
         """
         contact, problem = self.contact, self._problem
-        motions = contact.motions.unresisted(self.trial.forces.status)
+        motions = contact.unresisted_motions(self.trial.forces.status)
         if not motions.shape[1]:
             return False
         jumps, w = contact.motions.relative(motions), contact.local.weight

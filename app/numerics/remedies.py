@@ -11,7 +11,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.numerics.newton import REASONS, NewtonResult, Solver
-from app.numerics.system import Contact, ContactLaw
+from app.numerics.system import SolvedContact
 
 log = logging.getLogger("mantle")
 
@@ -41,9 +41,9 @@ def solve(solver: Solver) -> NewtonResult:
         contact.laws.scale_augmentation(solver.augmentation)
     runs: list[tuple[int, int]] = []
     start = solver.x.copy() if contact else solver.x
-    if contact and contact.laws.freeze():
+    if contact and contact.freeze():
         runs.append(solver.run())
-        contact.laws.unfreeze()
+        contact.unfreeze()
         if not solver.converged:
             start.copy(solver.x)
     runs.append(solver.run())
@@ -88,7 +88,7 @@ def solve(solver: Solver) -> NewtonResult:
     )
 
 
-def _refine(solver: Solver, contact: Contact) -> tuple[float, tuple[int, int]]:
+def _refine(solver: Solver, contact: SolvedContact) -> tuple[float, tuple[int, int]]:
     """Continue with the default augmentation: gaps and slips are wrong by the residual over r.
 
     Returns:
@@ -153,7 +153,7 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
     if contact is None:
         return
     if not solver.converged:
-        yield from _with_given_limits(solver, start, contact.laws)
+        yield from _with_tresca_friction(solver, start, contact)
     for remedy in AUGMENTATIONS:
         if solver.converged:
             return
@@ -216,33 +216,35 @@ def _with_switched_interfaces(
         yield usual_remedy
 
 
-def _with_given_limits(solver: Solver, start: PETSc.Vec, law: ContactLaw) -> Iterator[str]:
-    """Solve from the start under given limits of friction, then from there under its own.
+def _with_tresca_friction(
+    solver: Solver, start: PETSc.Vec, contact: SolvedContact
+) -> Iterator[str]:
+    """Solve from the start with friction under given pressures, then from there with Coulomb's.
 
-    Where a solve under given limits does not converge, the state is that before the remedy.
+    Where a solve under given pressures does not converge, the state is that before the remedy.
     """
-    if not law.limit_friction():
+    if not contact.begin_tresca_friction():
         return
     before = solver.x.copy()
     start.copy(solver.x)
     try:
         yield "limiting friction by given pressures, which follow those of the state"
-        yield from _following_pressures(solver, law)
+        yield from _following_pressures(solver, contact)
     finally:
-        law.release_friction()
+        contact.end_tresca_friction()
     if solver.converged:
         yield "limiting friction by the pressures of the state"
     else:
         before.copy(solver.x)
 
 
-def _following_pressures(solver: Solver, law: ContactLaw) -> Iterator[str]:
+def _following_pressures(solver: Solver, contact: SolvedContact) -> Iterator[str]:
     """Let the given pressures follow those of the state until both are the same."""
     for share in SHARES:
         least, updates = math.inf, 0
         while updates < MOST_UPDATES and solver.converged:
             solver.residual(solver.x)
-            difference = law.relax_limits(share)
+            difference = contact.relax_tresca_friction(share)
             if difference < SAME_PRESSURES:
                 return
             yield ""
@@ -280,6 +282,6 @@ def failure_text(solver: Solver) -> str:
     return f"not converging (residual {solver.residuals[-1]:.1e}{changing})"
 
 
-def _augmentation_text(contact: Contact) -> str:
+def _augmentation_text(contact: SolvedContact) -> str:
     values = contact.augmentation().values()
     return f" (up to {max(values):.3g} MPa/mm)" if values else ""

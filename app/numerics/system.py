@@ -45,13 +45,42 @@ class Measure:
 
 
 class ContactLaw(Protocol):
-    """Interface between the nonlinear solver and the laws of all contact points."""
+    """Interface between the nonlinear solver and the laws of all contact points.
+
+    `app.mechanics.point_laws.PointLaws` implements it, and says more.
+    """
 
     def scale_augmentation(self, factor: float) -> None:
-        """Set the augmentation to a multiple of the case's [-]."""
+        """Multiply the default augmentation by a factor, until the next call."""
 
     def default_augmentation_ratio(self) -> float:
         """Geometric mean of the default augmentation over the one of the case [-]; collective."""
+
+
+class SolvedContact(Protocol):
+    """Interface between the nonlinear solver and the contact of a system.
+
+    `app.mechanics.contact.ContactInterfaces` implements it, and says more.
+    """
+
+    @property
+    def laws(self) -> ContactLaw:
+        """Laws at the local points."""
+
+    def augmentation(self) -> dict[str, float]:
+        """Augmentation of each interface that can open [MPa/mm], by name; collective."""
+
+    def constrain(self) -> bool:
+        """Constrain interfaces that have to close to hold a body; collective."""
+
+    def release(self) -> None:
+        """Release constrained interfaces."""
+
+    def open(self) -> bool:
+        """Open all interfaces that can open; collective."""
+
+    def allow_closing(self) -> None:
+        """Let opened interfaces close."""
 
     def freeze(self) -> bool:
         """Freeze the internal variables; return True if there are any."""
@@ -59,41 +88,14 @@ class ContactLaw(Protocol):
     def unfreeze(self) -> None:
         """Let the internal variables change."""
 
-    def limit_friction(self) -> bool:
-        """Limit friction by given pressures, zero at first; return False without friction."""
+    def begin_tresca_friction(self) -> bool:
+        """Limit friction by given pressures, zero at first; collective."""
 
-    def release_friction(self) -> None:
+    def relax_tresca_friction(self, share: float) -> float:
+        """Move the given pressures by a share towards those of the last state; collective."""
+
+    def end_tresca_friction(self) -> None:
         """Limit friction by the pressures of the state."""
-
-    def relax_limits(self, share: float) -> float:
-        """Move the given pressures by a share towards those of the last state; collective.
-
-        Returns:
-            Relative difference of the two [-].
-        """
-
-
-class Contact(Protocol):
-    """Interface between the nonlinear solver and the contact of a system."""
-
-    @property
-    def laws(self) -> ContactLaw:
-        """Laws of the contact points."""
-
-    def augmentation(self) -> dict[str, float]:
-        """Current augmentation of each interface [MPa/mm]; collective."""
-
-    def constrain(self) -> bool:
-        """Constrain interfaces that have to close before a body is held; True if there are any."""
-
-    def release(self) -> None:
-        """Release constrained interfaces."""
-
-    def open(self) -> bool:
-        """Open all interfaces that can open; return True if there are any."""
-
-    def allow_closing(self) -> None:
-        """Let opened interfaces close."""
 
 
 class System(Protocol):
@@ -108,7 +110,7 @@ class System(Protocol):
     newton: Options = {}  # noqa: RUF012
     # Shared inverses of diagonal blocks, by block.
     inverses: Mapping[str, Inverse] = {}
-    contact: Contact | None = None
+    contact: SolvedContact | None = None
     # Newton iterations that are taken from a state that is in balance, if its residual is not zero.
     min_iterations: int = 0
 

@@ -183,7 +183,7 @@ def companions(case: Case) -> tuple[Companion, ...]:
     if not case.output.error:
         return ()
     most_increments = max(stage.increments for stage in case.stages)
-    is_frictional = any(law.friction > 0 for law in case.interfaces.values())
+    is_frictional = any(law.largest_friction > 0 for law in case.interfaces.values())
     is_timed = any(stage.duration for stage in case.stages)
     if is_frictional:
         step_ratio = most_increments // 2 / most_increments if most_increments > 1 else 1.0

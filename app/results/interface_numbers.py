@@ -73,7 +73,7 @@ def least_friction(trial: TrialState) -> tuple[Floats, Floats]:
     rounding = CLOSED * np.linalg.norm(law.force, axis=1) / contact.laws.augmentation
     is_closed = np.where(is_face, np.abs(opening) <= rounding[:, None], True).all(axis=1)
     has_edge = (contact.local.faces > 1) & (law.status == STICK)
-    rows = np.flatnonzero(has_edge & contact.laws.has_contact & is_closed)
+    rows = np.flatnonzero(has_edge & contact.laws.law_has_contact & is_closed)
     on_faces = -np.einsum("pki,pi->pk", dual_vectors(normals[rows]), law.force[rows])
     pressed = (on_faces >= 0).all(axis=1)
     rows, on_faces = rows[pressed], on_faces[pressed]
@@ -102,7 +102,7 @@ def status_at_rest(trial: TrialState) -> Ints:
     """
     contact, state = trial.contact, trial.contact.state
     longest_path = contact.gather(state.path).max(initial=0.0)
-    is_resting = contact.laws.frictional & (state.step_slip <= AT_REST * longest_path)
+    is_resting = contact.laws.law_has_friction & (state.step_slip <= AT_REST * longest_path)
     is_held = (contact.local.faces == 0) | (is_resting & (trial.forces.status == SLIP))
     return np.where(is_held, STICK, trial.forces.status)
 
@@ -154,8 +154,8 @@ class ContactSamples:
         gap: Opening of each face (n, 3) [mm]; 0 for faces that a point does not have, and where
             bone never touches a stem.
         opening: Opening of the point, the largest of its faces (n,) [mm].
-        slip: Slip: tangential part of the jump at a point in contact, without the elastic part of a
-            layer; 0 where the point is open (n, 3) [mm]. Finite sliding: sum over the steps.
+        slip: Slip of the second side relative to the first, as declared (n, 3) [mm];
+            `mechanics.contact.TrialState.slip` defines it.
         path: Length of the path of sliding in contact (n,) [mm].
         motion: Displacement of the second side relative to the first, as declared (n, 3) [mm].
         micromotion: Motion since the insertion, if there is a press fit (n, 3) [mm].

@@ -93,7 +93,7 @@ def _refused(case: Case) -> list[Fault]:
     for name, law in case.interfaces.items():
         if law.kind not in ("bonded", "contact", "penalty"):
             refuse(f"the law {law.kind}", "interfaces", name)
-        elif law.has_gap:
+        elif law.has_initial_gap:
             refuse("a gap or an interference", "interfaces", name)
         elif law.zone_heights:
             refuse("zones", "interfaces", name, "zones")
@@ -146,8 +146,8 @@ class _Deck:
             stiff = stiff if math.isfinite(stiff) else STIFF
             yield f"*SURFACE INTERACTION, NAME={i.name}"
             yield f"*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR\n{_real(stiff)}"
-            if i.law.friction:
-                yield f"*FRICTION\n{_real(i.law.friction, STICK * stiff)}"
+            if i.law.largest_friction:
+                yield f"*FRICTION\n{_real(i.law.largest_friction, STICK * stiff)}"
             yield f"*CONTACT PAIR, INTERACTION={i.name}, TYPE=SURFACE TO SURFACE"
             yield f"{i.name}_slave, {i.name}_master"
         forces = [(load.history, self._forces(load)) for load in self.scene.loads]

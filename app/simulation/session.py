@@ -335,7 +335,7 @@ class _CaseRun:
             log.info("     computing and writing results")
         with setup.timing.phase("output"):
             self._recorder.flush()
-            summary = self._recorder.summary("converged", total)
+            summary = self._recorder.summary(total)
         notes = [
             *self._notes,
             *result_notes.of_results(case, summary),

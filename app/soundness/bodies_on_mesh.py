@@ -140,7 +140,7 @@ class BodiesOnMesh:
     def notes_on_loosely_held(self) -> list[Verdict]:
         """Notes on motions barely resisted by contact, without friction or not yet closed."""
         gaps = gaps_of(self._case, self._parts)
-        frictions = {n: self._laws[n].friction for n in gaps}
+        frictions = {n: self._laws[n].largest_friction for n in gaps}
         notes: list[Verdict] = []
         for k, left_by_supports in self._left_by_supports():
             free_motions, steepest = self._weakly_held_motions(left_by_supports, frictions)

@@ -278,7 +278,7 @@ def contact_solves(case: Case) -> int:
 def _proportional(case: Case) -> bool:
     """Return True if the solution of the first stage is proportional to the loads."""
     load_histories = [load.history for load in case.loads.values()]
-    gaps = [law.has_gap for law in case.interfaces.values()]
+    gaps = [law.has_initial_gap for law in case.interfaces.values()]
     has_changes = any(load_histories) or any(gaps) or case.motions
     return not case.stages[0].duration and not has_changes
 

@@ -136,11 +136,11 @@ def critical_friction_of_interfaces(problem: Problem) -> list[CriticalFriction]:
             (float(critical[k]), tuple(contact.local.x[k])) if len(at_interface) else (np.inf, ())
         )
         smallest, x = min(problem.comm.allgather(local_smallest))
-        points_beyond = int((critical[at_interface] < term.law.friction).sum())
+        points_beyond = int((critical[at_interface] < term.law.largest_friction).sum())
         points_beyond = problem.comm.allreduce(points_beyond, MPI.SUM)
-        if term.law.friction == 0 or not np.isfinite(smallest):
+        if term.law.largest_friction == 0 or not np.isfinite(smallest):
             continue
         of_interfaces.append(
-            CriticalFriction(term.name, term.law.friction, smallest, x, points_beyond)
+            CriticalFriction(term.name, term.law.largest_friction, smallest, x, points_beyond)
         )
     return of_interfaces

@@ -115,7 +115,7 @@ def explanation_of_failure(
         return Explanation(outcome, Verdict(_residuals(outcome), remedy=remedy))
     trial, first_trial = problem.trial(u, q), problem.trial(*solver.u_and_q(solver.first_state))
     contact = trial.contact
-    dissipates = contact.laws.dissipates
+    dissipates = contact.laws.law_dissipates
     energy = sum(
         float(t.forces.outputs["dissipated"][dissipates].sum()) for t in (trial, first_trial)
     )

@@ -104,7 +104,7 @@ def texts_of_floating_bodies(problem: Problem, trial: TrialState, moved: bool = 
     values, vectors = np.linalg.eigh((A + A.T) / 2)
     free_vectors = vectors[:, values <= FREE * max(values[-1], total)]
     if moved:
-        unresisted = contact.motions.unresisted(trial.forces.status)
+        unresisted = contact.unresisted_motions(trial.forces.status)
         free_vectors = motions_outside(free_vectors, unresisted)
     at_body = [(contact.points.bodies == b).any(axis=1) for b in range(len(body_names))]
     centres = np.array([x[mask].mean(axis=0) if mask.any() else centre for mask in at_body])
@@ -116,7 +116,7 @@ def texts_of_floating_bodies(problem: Problem, trial: TrialState, moved: bool = 
 def texts_of_pushed_bodies(problem: Problem, trial: TrialState) -> list[str]:
     """Sentences on bodies that loads, however small, push along unresisted motions; collective."""
     contact = trial.contact
-    motions = contact.motions.unresisted(trial.forces.status)
+    motions = contact.unresisted_motions(trial.forces.status)
     motion = motions @ (motions.T @ _on_bodies(problem))
     pressures = contact.local.weight[:, None] * trial.forces.pressures
     return _pulls(problem, motion, pressures)
@@ -138,7 +138,7 @@ def _owned_nodes(problem: Problem) -> Floats:
 def _frictions(problem: Problem) -> Floats:
     """Friction coefficients of the interfaces that may hold a body (i,)."""
     # A ball clears the rim of its cup, so the rim cannot wedge it.
-    return np.array([0.0 if c.between else c.law.friction for c in problem.scene.contacts])
+    return np.array([0.0 if c.between else c.law.largest_friction for c in problem.scene.contacts])
 
 
 def _pulls(problem: Problem, motion: Floats, pressures: Floats) -> list[str]:
@@ -198,14 +198,14 @@ def warnings_of_sliding_bodies(problem: Problem, contact: ContactInterfaces) -> 
     verdicts = []
     for i, term in enumerate(problem.scene.contacts):
         is_pressed = (contact.local.interface == i) & (normal > 0)
-        slips = is_pressed & (shear >= ALL_OF_IT * term.law.friction * normal)
+        slips = is_pressed & (shear >= ALL_OF_IT * term.law.largest_friction * normal)
         local = np.array(
             [contact.local.weight[slips].sum(), contact.local.weight[is_pressed].sum()]
         )
         slip, touch = problem.comm.allreduce(local)
         bodies = problem.comm.allgather(set(contact.local.bodies[is_pressed].ravel().tolist()))
         unsupported = set().union(*bodies) - fixed_bodies
-        if term.law.friction > 0 and touch and slip >= SLIDES * touch and unsupported:
+        if term.law.largest_friction > 0 and touch and slip >= SLIDES * touch and unsupported:
             body_names = "' and '".join(problem.bodies.names[b] for b in sorted(unsupported))
             message = (
                 f"friction hardly holds body '{body_names}': {100 * slip / touch:.0f} % of the "
@@ -278,8 +278,8 @@ def warnings_of_floating_bodies(problem: Problem, trial: TrialState) -> list[Ver
     if not any(problem.comm.allgather(bool((is_open & (gaps > GAP * size)).any()))):
         return []
     rounding = UNPRESSED * contact.laws.augmentation * size
-    is_unpressed = contact.laws.slides & (trial.forces.pressures.max(axis=1) <= rounding)
-    motions = contact.motions.resisted_by_open_points(
+    is_unpressed = contact.laws.law_is_contact & (trial.forces.pressures.max(axis=1) <= rounding)
+    motions = contact.motions_resisted_by_open_points(
         np.where(is_unpressed, OPEN, trial.forces.status)
     )
     centres = np.tile(contact.motions.frame[0], (len(body_names), 1))
@@ -380,7 +380,8 @@ def error_of_body_held_by_facets(problem: Problem, trial: TrialState) -> Verdict
     resists, however slight.
     """
     smooth = [
-        c.law.can_open and c.law.friction == 0 and not c.between for c in problem.scene.contacts
+        c.law.can_open and c.law.largest_friction == 0 and not c.between
+        for c in problem.scene.contacts
     ]
     if not any(smooth):
         return None

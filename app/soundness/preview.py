@@ -248,7 +248,7 @@ def input_notes(case: Case) -> list[Verdict]:
     """Return notes on allowed but doubtful input for `mantle check` and the log."""
     notes = case.geometry.former_keys
     acts = [
-        *(law.has_gap for law in case.interfaces.values()),
+        *(law.has_initial_gap for law in case.interfaces.values()),
         *(support.moves for support in case.supports.values()),
         *(region.eigenstrains for region in case.regions.values()),
     ]
@@ -341,9 +341,9 @@ def _no_load(case: Case) -> Iterable[Verdict]:
     strains = any(getattr(region, "eigenstrains", ()) for region in case.regions.values())
     if moves or strains or case.motions or case.conducts or not solid(case):
         return
-    is_pressed = any(law.interferes for law in case.interfaces.values())
+    is_pressed = any(law.overlaps_initially for law in case.interfaces.values())
     # A gap may be an expression with interferences.
-    has_gap = any(law.has_gap for law in case.interfaces.values())
+    has_gap = any(law.has_initial_gap for law in case.interfaces.values())
     if has_gap and not case.geometry.has_gruen_zones:
         return  # a fit is tested
     only = "; only the interference strains the bodies" if is_pressed else ""
@@ -426,8 +426,9 @@ def _without_effect(case: Case) -> Iterable[Verdict]:
                 message = f"acts on {boundary}, which supports.{support} holds, so it has no effect"
                 yield note(message, f"loads.{name}")
     for name, law in case.interfaces.items():
-        if law.friction > MOST_FRICTION:
-            message = f"is {law.friction:g}; for implants it is 0 to 1.5. Was it given in per cent?"
+        friction = law.largest_friction
+        if friction > MOST_FRICTION:
+            message = f"is {friction:g}; for implants it is 0 to 1.5. Was it given in per cent?"
             yield note(f"interfaces.{name}.friction_coefficient {message}")
 
 

@@ -57,7 +57,7 @@ def dissipated_energy(problem: Problem, u: PETSc.Vec, q: PETSc.Vec | None) -> tu
     if contact is None or q is None or not contact.laws.internal_variables:
         return 0.0, np.zeros(0)
     outputs = problem.trial(u, q).forces.outputs
-    weight = np.where(contact.laws.dissipates, contact.local.weight, 0.0)
+    weight = np.where(contact.laws.law_dissipates, contact.local.weight, 0.0)
     local = float(weight @ outputs["dissipated"])
     return problem.comm.allreduce(local), (weight[:, None] * outputs["dissipated_by_jump"]).ravel()
 
@@ -84,11 +84,11 @@ def start_beyond_onset(
         Fraction of the path at that state, or None if no damage is possible; collective.
     """
     contact, start = problem.contact, solver.x.copy()
-    if contact is None or not contact.laws.freeze():
+    if contact is None or not contact.freeze():
         return None
     set_load(path[1])
     solver.run()
-    contact.laws.unfreeze()
+    contact.unfreeze()
     end = solver.x.copy()
 
     def move_to(fraction: float) -> float:

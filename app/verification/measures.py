@@ -170,7 +170,7 @@ def law_violation(run: Run) -> Comparison:
         if not peak:
             continue
         law = law_of(run, name)
-        errors[f"friction of {name}"] = float((t - law.friction * p).max()) / peak
+        errors[f"friction of {name}"] = float((t - law.largest_friction * p).max()) / peak
         errors[f"pressure across a gap of {name}"] = float((p * gap).max()) / (
             peak * largest_displacement
         )
@@ -184,7 +184,7 @@ def law_violation(run: Run) -> Comparison:
     violation = largest_error(errors)
     limits = {name: q.get("critical_friction", np.inf) for name, q in interfaces.items()}
     above_critical = ", ".join(
-        n for n, critical in limits.items() if law_of(run, n).friction > critical
+        n for n, critical in limits.items() if law_of(run, n).largest_friction > critical
     )
     if not above_critical:
         return violation

@@ -14,7 +14,7 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx.mesh import create_box, create_submesh, locate_entities
 
-from app.laws.contact_laws import Coulomb
+from app.laws.contact_laws import Contact
 from app.laws.loads import Force
 from app.laws.materials import Isotropic, Rigid
 from app.laws.motions import Motion, Rotation
@@ -52,7 +52,7 @@ x[:] = radius[:, None] * direction / np.linalg.norm(direction, axis=1)[:, None]
 
 polyethylene = Isotropic(youngs_modulus="1 GPa", poisson_ratio=0.4)
 faces = ("ball_surface", "cup_surface")
-bearing = Coulomb(friction_coefficient=mu, sliding="finite", between=faces)
+bearing = Contact(friction_coefficient=mu, sliding="finite", between=faces)
 rotation = Rotation(axes="xyz", cycle_table=["time [s], rotation z [deg]", "0, 0", "1, 20"])
 spin = Motion(region="ball", about="[0, 0, 0] mm", rotation=rotation)
 scene = scene_of(

@@ -12,7 +12,7 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx.mesh import create_box
 
-from app.laws.contact_laws import Coulomb
+from app.laws.contact_laws import Contact
 from app.laws.heat_conditions import FixedTemperature
 from app.laws.loads import Pressure
 from app.laws.materials import Isotropic
@@ -44,7 +44,7 @@ material = Isotropic(youngs_modulus="2 GPa", poisson_ratio=0, thermal=thermal)
 scene = scene_of(
     regions={"bar": material, "pad": material},
     # Half of the heat enters each side; there is no jump of temperature between them.
-    interfaces={"joint": Coulomb(friction_coefficient=mu, friction_heating=0.5)},
+    interfaces={"joint": Contact(friction_coefficient=mu, friction_heating=0.5)},
     sides={"joint": (["bar"], ["pad"])},
     supports={
         "ground": Fixed(boundary="bottom"),

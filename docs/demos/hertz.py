@@ -15,7 +15,7 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx.mesh import create_box
 
-from app.laws.contact_laws import Coulomb
+from app.laws.contact_laws import Contact
 from app.laws.materials import Isotropic
 from app.laws.supports import Displacement, Roller
 from app.results.interface_numbers import ContactSamples
@@ -46,7 +46,7 @@ mesh = TaggedMesh.from_markers(
 material = Isotropic(youngs_modulus=f"{E} MPa", poisson_ratio=nu)
 scene = scene_of(
     regions={"flat": material, "cylinder": material},
-    interfaces={"contact": Coulomb(friction_coefficient=0.0, gap=f"x**2 / (2 * {R})")},
+    interfaces={"contact": Contact(friction_coefficient=0.0, gap=f"x**2 / (2 * {R})")},
     sides={"contact": (["flat"], ["cylinder"])},
     supports={
         "bottom": Roller(boundary="bottom", axis="z"),

@@ -14,7 +14,7 @@ import numpy as np
 from dolfinx.mesh import create_box
 
 from app.foundation.errors import ConvergenceError
-from app.laws.contact_laws import Coulomb
+from app.laws.contact_laws import Contact
 from app.laws.loads import BodyForce
 from app.laws.materials import Isotropic
 from app.laws.supports import Fixed
@@ -46,7 +46,7 @@ def friction_over_normal(degrees: float) -> float:
 
     scene = scene_of(
         regions={"ramp": wood, "block": wood},
-        interfaces={"joint": Coulomb(friction_coefficient=mu)},
+        interfaces={"joint": Contact(friction_coefficient=mu)},
         sides={"joint": (["ramp"], ["block"])},
         supports={"ground": Fixed(boundary="ground")},
         loads={"weight": BodyForce(regions=["block"], density=f"[0, 0, {-weight}] N/mm^3")},

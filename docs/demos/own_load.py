@@ -16,7 +16,7 @@ import numpy as np
 from dolfinx.mesh import create_box
 from ufl import dot
 
-from app.laws.contact_laws import Coulomb
+from app.laws.contact_laws import Contact
 from app.laws.loads import Load, Pressure
 from app.laws.materials import Isotropic
 from app.laws.supports import Fixed
@@ -61,7 +61,7 @@ mesh = TaggedMesh.from_markers(
 )
 scene = scene_of(
     regions={name: Isotropic(youngs_modulus="1 GPa", poisson_ratio=0.3) for name in mesh.regions},
-    interfaces={"joint": Coulomb(friction_coefficient=0.6)},
+    interfaces={"joint": Contact(friction_coefficient=0.6)},
     sides={"joint": (["floor"], ["wall"])},
     supports={"ground": Fixed(boundary="ground")},
     loads={

@@ -15,7 +15,7 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx.mesh import create_box
 
-from app.laws.contact_laws import Coulomb
+from app.laws.contact_laws import Contact
 from app.laws.loads import Pressure
 from app.laws.materials import Isotropic
 from app.laws.supports import Roller
@@ -51,7 +51,7 @@ scene = scene_of(
         "lower": Isotropic(youngs_modulus=f"{E_lower} MPa", poisson_ratio=0.3),
         "upper": Isotropic(youngs_modulus=f"{E_upper} MPa", poisson_ratio=0.2),
     },
-    interfaces={"joint": Coulomb(friction_coefficient=0.0)},
+    interfaces={"joint": Contact(friction_coefficient=0.0)},
     sides={"joint": (["lower"], ["upper"])},
     supports={
         "base": Roller(boundary="bottom", axis="z"),

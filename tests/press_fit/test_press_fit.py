@@ -13,9 +13,9 @@ import mantle
 from app.case.case import load_case
 from app.foundation.errors import ConvergenceError, InputError
 from app.foundation.verdict import Verdict
-from app.laws.contact_laws import Coulomb
+from app.laws.contact_laws import Contact
 from app.laws.interface_laws import insertion_stages
-from app.laws.values import NoStem, gap_settled
+from app.laws.values import gap_settled
 from app.press_fit.findings import _beyond_yield, _ingrowth, _raised_collar
 from app.results.closing_lines import headline
 from app.results.hip import of_collar
@@ -47,51 +47,13 @@ INTERFERENCE = 0.02  # mm
 SHIFT = 0.03  # mm
 
 
-def law(**keys: object) -> Coulomb:
-    return Coulomb.model_validate({"kind": "contact", "friction_coefficient": 0.3, **keys})
-
-
-def points(*heights: float) -> np.ndarray:
-    return np.array([[1.0, 2.0, z] for z in heights])
-
-
-def test_press_fit_interference_is_a_number_an_expression_or_a_table() -> None:
-    x = points(0.0, 30.0, 60.0)
-    for given, expected in (
-        ("0.02 mm", [0.02, 0.02, 0.02]),
-        ("0.001 * z", [0.0, 0.03, 0.06]),
-        ([["0 mm", "0 mm"], ["60 mm", "0.04 mm"]], [0.0, 0.02, 0.04]),
-    ):
-        gap = law(interference=given).gap_field("i", NoStem())(x)
-        assert -gap == pytest.approx(expected)
-
-
-def test_press_fit_zones_have_their_own_friction_and_gap() -> None:
-    zones = {
-        "coated": {"above": "40 mm", "friction_coefficient": 0.8, "interference": "0.05 mm"},
-        "reamed": {"below": "10 mm", "gap": "0.2 mm"},
-    }
-    partly = law(interference="0.01 mm", zones=zones)
-    x = points(5.0, 20.0, 50.0)
-    assert partly.gap_field("i", NoStem())(x) == pytest.approx([0.2, -0.01, -0.05])
-    assert partly.constants_at_points("i", NoStem())["μ"](x) == pytest.approx([0.3, 0.3, 0.8])
-    assert partly.friction == 0.8
-    assert partly.is_press_fit
-
-
-def test_press_fit_acts_on_flanks_alone() -> None:
-    class Stem(NoStem):
-        def on_flanks(self, x: np.ndarray) -> np.ndarray:
-            return x[:, 2] > 1.0
-
-    gap = law(interference="0.02 mm").gap_field("i", Stem())(points(0.0, 2.0))
-    assert gap == pytest.approx([0.0, -0.02])
+def law(**keys: object) -> Contact:
+    return Contact.model_validate({"kind": "contact", "friction_coefficient": 0.3, **keys})
 
 
 @pytest.mark.parametrize(
     ("keys", "text"),
     [
-        ({"interference": "0.02 mm", "gap": "0.1 mm"}, "opposite of `gap`"),
         ({"interference": "-0.02 mm"}, "must not be negative"),
         ({"interference": "2 mm"}, "must be at most 1"),
         ({"zones": {"a": {"above": "9 mm", "below": "8 mm"}}}, "not above 9 mm"),

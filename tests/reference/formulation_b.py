@@ -44,7 +44,7 @@ from app.foundation.dolfinx_features import (
     facet_domain,
     submesh,
 )
-from app.laws.contact_laws import Coulomb
+from app.laws.contact_laws import Contact
 from app.laws.loads import BodyForce, Force, Pressure
 from app.laws.materials import Isotropic
 from app.laws.supports import Displacement, Fixed, Roller
@@ -134,7 +134,7 @@ class Interface:
 
     def __init__(self, case: Case, tagged: TaggedMesh, bodies: dict[str, Part], name: str) -> None:
         mesh, law = tagged.mesh, case.interfaces[name]
-        assert isinstance(law, Coulomb)
+        assert isinstance(law, Contact)
         self.name, self.history = name, law.gap_history
         modulus = {r: _isotropic(case, r)[0] for side in tagged.interfaces[name] for r in side}
         self.master, self.slave = sorted(modulus, key=lambda r: -modulus[r])

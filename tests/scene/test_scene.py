@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from app.foundation.errors import InputError
-from app.laws.contact_laws import Coulomb
+from app.laws.contact_laws import Contact
 from app.laws.materials import Isotropic
 from app.scene.scene import Stage, scene_of
 
@@ -17,7 +17,7 @@ def test_scene_puts_the_jump_on_the_softer_side() -> None:
             "stiff": Isotropic(youngs_modulus="2 GPa", poisson_ratio=0.3),
         },
         [Stage(name="load")],
-        interfaces={"joint": Coulomb(friction_coefficient=0.3)},
+        interfaces={"joint": Contact(friction_coefficient=0.3)},
         sides={"joint": (["soft"], ["stiff"])},
     )
     (joint,) = scene.contacts
@@ -27,6 +27,6 @@ def test_scene_puts_the_jump_on_the_softer_side() -> None:
 
 
 def test_scene_needs_the_sides_of_an_interface() -> None:
-    law = Coulomb(friction_coefficient=0.3)
+    law = Contact(friction_coefficient=0.3)
     with pytest.raises(InputError, match=r"interfaces\.joint: expected the regions on its two"):
         scene_of({}, [Stage(name="load")], interfaces={"joint": law})

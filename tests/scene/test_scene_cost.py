@@ -66,7 +66,7 @@ def made(text: str, *overrides: str) -> Bill:
         patch.setattr(where, name, counted)
 
     def compiled(comm: Any, normals: Any, of: Any) -> Any:
-        laws.append((normals.shape[1], of.friction > 0))
+        laws.append((normals.shape[1], of.largest_friction > 0))
         return law(comm, normals, of)
 
     def refuse(*arguments: Any) -> None:

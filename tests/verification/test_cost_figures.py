@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from app.case.case import dump, load_case
-from app.laws.contact_laws import Coulomb
+from app.laws.contact_laws import Contact
 from app.laws.interface_laws import Bonded
 from app.verification import suite
 from app.verification.cost_figures import INTERFACES, RUNGS
@@ -105,7 +105,7 @@ def test_cost_figures_goals_run_valid_cases(goals: dict[str, PlannedProblem]) ->
             if "bonded" in name:
                 bonded = any("kind: bonded" in o for o in run.overrides)
                 kinds = {type(i) for i in case.interfaces.values()}
-                assert kinds == {Bonded if bonded else Coulomb}, name
+                assert kinds == {Bonded if bonded else Contact}, name
             if run.case == "stance.yaml":
                 assert not case.output.error
     twelve = goals["variations_12"].runs[1:]

@@ -217,12 +217,12 @@ def test_law_from_outside_breaks_by_given_energy_then_has_friction(tmp_path: Pat
 # The layer of `elastic_layer` in series with contact, by the slot of a law.
 CONTACT_LAYER = '''
 from typing import Literal
-from ufl import Identity, conditional, diff, dot, eq, inner, inv, outer, variable
+from ufl import Identity, as_vector, conditional, diff, dot, eq, inner, inv, outer, variable
 from ufl.algorithms import expand_derivatives, strip_variables
 from mantle import InterfaceLaw
 from app.laws.values import StiffnessField
 from app.schema.units import NonNegativeNumber
-from forms.contact import OPEN, Response, projected
+from forms.contact import OPEN, Response, contact_law
 
 
 class ContactLayer(InterfaceLaw):
@@ -248,7 +248,9 @@ class ContactLayer(InterfaceLaw):
         gap = variable(at.jump + at.initial_gap)
         across = sum(outer(n, n) for n in at.normals) / len(at.normals)
         K = v["tangential"] * Identity(3) + (v["normal"] - v["tangential"]) * across
-        law = projected(K * gap, K * (gap - old), at.normals, v["coefficient"])
+        # The trial force K gap, of which friction counts K (gap - old): `contact_law` at no jump.
+        none, μ = as_vector([0, 0, 0]), v["coefficient"]
+        law = contact_law(K * gap, none, none, K * old, at.S_star, at.normals, μ, 1)
         elastic = inv(K) * law.force
         internal_variables = at.updated({"slid": gap - elastic})
         both = internal_variables["slid"], old

@@ -19,7 +19,7 @@ from tests import support
 
 # A file; a problem that has to fail; each mistake: what is in the file -> what is planted instead.
 # Those of eq. 14, 50, 66 and 68 as printed are among them, one by one.
-TABLE = r'''
+TABLE = r"""
 forms/elasticity.py
   uniaxial_along
     eq50_poisson_ratio_in_e1: e1 = (ν_t + a) * E_t -> e1 = (ν_t + ν_t**2 * E_t / E_l) * E_t
@@ -51,7 +51,7 @@ forms/contact.py
     eq65_sign_of_the_gap: S = f + r * (d + gap) -> S = f + r * (d - gap)
   wall_penalty
     eq65_factor_of_the_potential: square - inner(f, f)) / (2 * r) -> square - inner(f, f)) / r
-    eq57_penalty: penalty [MPa/mm].\n    """\n -> penalty [MPa/mm].\n    """\n    r = 1.01 * r\n
+    eq57_penalty: f = variable(F)\n    d = -> r = 1.01 * r\n    f = variable(F)\n    d =
   foundation_bar
     eq65_slip_since_the_last_state: dS = f + r * (d - jump_old) -> dS = f + r * d
 forms/loads.py
@@ -91,7 +91,7 @@ forms/cure.py
 app/mechanics/thermal_strain.py
   layers_bonded
     sign_of_the_thermal_strain: = x.expansion * (temp -> = -x.expansion * (temp
-'''
+"""
 
 
 def mutations() -> dict[str, tuple[str, str, str, str]]:
@@ -127,6 +127,13 @@ def program(tmp_path: Path) -> Path:
         shutil.copytree(support.ROOT / folder, tmp_path / folder, ignore=caches)
     shutil.copy(support.ROOT / "mantle.py", tmp_path)
     return tmp_path
+
+
+@pytest.mark.parametrize("name", MUTATIONS)
+def test_mutations_change_one_place(name: str) -> None:
+    file, right, wrong, _ = MUTATIONS[name]
+    assert right != wrong
+    assert (support.ROOT / file).read_text(encoding="utf-8").count(right) == 1
 
 
 @pytest.mark.slow

@@ -1,0 +1,144 @@
+r"""Contact force along jumps that supports prescribe, as functions of arrays.
+
+Along a prescribed jump, equilibrium contains the support reaction. The interface force F_h there
+follows from the law P alone:
+
+.. math:: F_h = H P(F + M F_h),
+
+with H the projector on the prescribed directions and M the share of the multiplier. Where the jump
+changes in the step, `respond` solves for F_h at each point. Where the jump is at rest, F_h is the
+friction of the last converged state.
+
+F_h is along the prescribed slip, so its size is one unknown per point. The residual H P - F_h is
+not negative for F_h = 0 and negative for a large one, so that a root is between these bounds. Each
+iterate of Newton's method replaces one of the bounds. Bisection replaces a Newton step that leaves
+the bounds, or that follows one which did not halve the residual.
+
+At a point of one face the residual decreases and is concave on the side of the start, so that the
+iterates approach the root from one side. They are slowest where the force across the slip equals
+the limit of friction: a triple root, at which each iteration leaves 2/3 of the error. At an edge,
+the set of touching faces can change with F_h. Where the force jumps across zero there, no root
+exists, and the bounds close at the jump.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from app.foundation.arrays import Bools, Floats
+
+# A prescribed slip below this fraction of the jumps counts as zero.
+SLIP_ROUNDING = 1e-13
+# A prescribed slip counts as zero, too, if r times the slip is below this fraction of the whole
+# trial force. The errors of the friction along the slip are larger. They would decide whether the
+# point sticks or slips.
+REST_TOLERANCE = 1e-11
+# The force along a prescribed jump has converged within this fraction of the trial force.
+FORCE_TOLERANCE = 1e-12
+# Start of the upper bound of that force over the trial force [-]: larger than any μ.
+UPPER_BOUND = 1e3
+
+# Inputs and outputs of a law at n points, by name: (n, ...).
+Inputs = Mapping[str, Floats]
+Outputs = dict[str, Floats]
+# A law at n points.
+LawAtPoints = Callable[[Inputs], Outputs]
+
+
+@dataclass(frozen=True)
+class PrescribedSlip:
+    """Prescribed slip of a step at n points.
+
+    Attributes:
+        is_sliding: True where the prescribed jump changes (n,).
+        direction: Unit vector of the change (n, 3); not used where the jump is at rest.
+        scale: Size of the trial force (n,) [MPa].
+        last_friction: Last friction along the prescribed directions (n, 3) [MPa].
+    """
+
+    is_sliding: Bools
+    direction: Floats
+    scale: Floats
+    last_friction: Floats
+
+    @classmethod
+    def of(cls, inputs: Inputs, H: Floats, last_friction: Floats) -> PrescribedSlip:
+        """Return the prescribed slip between two states of points.
+
+        Args:
+            inputs: Force (n, 3) [MPa], jump, last jump ``old`` and gap (n, 3) [mm], and the
+                augmentation r (n,) [MPa/mm].
+            H: Projectors on the prescribed directions (n, 3, 3).
+            last_friction: Friction in the last converged state (n, 3) [MPa].
+        """
+        jump, old_jump = inputs["jump"], inputs["old"]
+        slip = np.einsum("pij,pj->pi", H, jump - old_jump)
+        size = np.linalg.norm(slip, axis=1)
+        jump_sizes = np.linalg.norm(jump, axis=1) + np.linalg.norm(old_jump, axis=1)
+        opening = np.linalg.norm(jump + inputs["gap"], axis=1)
+        scale = np.linalg.norm(inputs["force"], axis=1) + inputs["r"] * opening
+        is_sliding = size > SLIP_ROUNDING * jump_sizes
+        is_sliding &= inputs["r"] * size > REST_TOLERANCE * scale
+        return cls(
+            is_sliding=is_sliding,
+            direction=slip / np.where(is_sliding, size, 1.0)[:, None],
+            scale=scale,
+            last_friction=np.einsum("pij,pj->pi", H, last_friction),
+        )
+
+
+def respond(
+    law: LawAtPoints, inputs: Inputs, H: Floats, M: Floats, last_friction: Floats
+) -> Outputs:
+    """Return the outputs of a law, with its force along prescribed tangential jumps.
+
+    Args:
+        law: The law. Its outputs include ``force`` (n, 3) [MPa], and ``by_multiplier`` (n, 3, 3)
+            or, if the force depends on the jump alone, ``by_jump`` (n, 3, 3).
+        inputs: Inputs of the law, as in `PrescribedSlip.of`, without F_h in the force.
+        H: Projectors on the prescribed tangential directions (n, 3, 3).
+        M: Share of the multiplier in the trial force (n, 3, 3) [-].
+        last_friction: Friction in the last converged state (n, 3) [MPa].
+
+    Returns:
+        Outputs of the law. ``by_multiplier`` is the total derivative, with the change of F_h.
+    """
+    if not H.any():
+        return law(inputs)
+    slip = PrescribedSlip.of(inputs, H, last_friction)
+    is_sliding, direction = slip.is_sliding, slip.direction
+    n = len(is_sliding)
+    lower, upper = np.zeros(n), UPPER_BOUND * slip.scale
+    size, last_residual = upper.copy(), np.full(n, np.inf)
+    tolerance = FORCE_TOLERANCE * slip.scale
+    while True:
+        F_h = np.where(is_sliding[:, None], size[:, None] * direction, slip.last_friction)
+        force = inputs["force"] + np.einsum("pij,pj->pi", M, F_h)
+        response = law({**inputs, "force": force})
+        if "by_jump" in response:
+            # A traction that depends on the jump alone.
+            return response
+        P_F = response["by_multiplier"]
+        residual = np.einsum("pi,pi->p", direction, response["force"]) - size
+        slope = 1 - np.einsum("pi,pij,pjk,pk->p", direction, P_F, M, direction)
+        # A point that has converged stays: rounding could move it from slip to stick.
+        is_unfinished = is_sliding & (np.abs(residual) > tolerance)
+        is_unfinished &= upper - lower > tolerance
+        if not is_unfinished.any():
+            break
+        np.copyto(lower, size, where=residual > 0)
+        np.copyto(upper, size, where=residual < 0)
+        # Without a positive slope the step is infinite, which leaves the bounds.
+        step = np.divide(residual, slope, out=np.full(n, np.inf), where=slope > 0)
+        is_within = (size + step >= lower) & (size + step <= upper)
+        is_halved = np.abs(residual) <= last_residual / 2
+        new_size = np.where(is_within & is_halved, size + step, (lower + upper) / 2)
+        np.copyto(size, new_size, where=is_unfinished)
+        last_residual = np.abs(residual)
+    # Implicit derivative of F_h by the multiplier F.
+    factor = np.divide(1.0, slope, out=np.zeros(n), where=is_sliding & (slope != 0))
+    F_h_by_F = np.einsum("p,pi,pk,pkj->pij", factor, direction, direction, P_F)
+    return response | {"by_multiplier": P_F + P_F @ M @ F_h_by_F}
