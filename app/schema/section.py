@@ -42,6 +42,9 @@ class Section(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
+    # Fields whose values come from a file that the section names.
+    from_file: ClassVar[tuple[str, ...]] = ()
+
     def __eq__(self, other: object) -> bool:
         """Return True for the same class with equal fields.
 

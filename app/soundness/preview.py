@@ -116,7 +116,6 @@ def _entries(model: Section, given_values: object, indent: int = 2) -> Iterable[
     """A line per field: internal value, and the given one where that differs."""
     internal_values = model.model_dump(mode="json", exclude_none=True)
     source = given_values if isinstance(given_values, dict) else {}
-    from_file = getattr(model, "from_file", ())
     for key, value in internal_values.items():
         if value in ([], {}) or key in ORIGIN or (indent > 2 and key in ("kind", "rigid")):
             continue  # empty, or printed in the line above
@@ -129,9 +128,10 @@ def _entries(model: Section, given_values: object, indent: int = 2) -> Iterable[
         value_text = plain_text(value)
         given_text = plain_text(source[key]) if key in source else None
         note = "" if given_text is None or given_text == value_text else f"  ({given_text})"
-        yield f"{' ' * indent}{key}: {value_text}{note}" + (
-            "" if key in source else f"  [{'from the file' if key in from_file else 'default'}]"
-        )
+        origin = ""
+        if key not in source:
+            origin = f"  [{'from the file' if key in model.from_file else 'default'}]"
+        yield f"{' ' * indent}{key}: {value_text}{note}{origin}"
 
 
 def _table(entries: Mapping[str, Section]) -> list[str]:
@@ -338,7 +338,7 @@ def _no_load(case: Case) -> Iterable[Verdict]:
             yield note("no load acts at any time: each `history` is 0", "loads", remedy)
         return
     moves = any(not s.is_spring and s.moves and _acts(s.history) for s in case.supports.values())
-    strains = any(getattr(region, "eigenstrains", ()) for region in case.regions.values())
+    strains = any(region.eigenstrains for region in case.regions.values())
     if moves or strains or case.motions or case.conducts or not solid(case):
         return
     is_pressed = any(law.overlaps_initially for law in case.interfaces.values())
@@ -463,7 +463,7 @@ def _proud(case: Case) -> Iterable[Verdict]:
 def _far_off(place: str, part: Section | None, limits: Mapping[str, Range]) -> Iterable[Verdict]:
     """Notes on values of a part of a case that are outside the limits of their keys."""
     for key, (lower_limit, upper_limit) in limits.items():
-        value = getattr(part, key, None)
+        value = dict(part or ()).get(key)
         values = [v for _, v in value] if isinstance(value, tuple) else [value]
         if part and any(
             isinstance(v, float) and v and not lower_limit <= abs(v) <= upper_limit for v in values

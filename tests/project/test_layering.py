@@ -367,7 +367,16 @@ def test_layering_comparison_of_kinds_is_detected(tmp_path: Path) -> None:
     assert kinds_compared(file) == [1, 2, 3]
 
 
-@all_of("app/case", "app/fatigue", "app/laws", "app/press_fit", "app/remodelling", "app/report")
+@all_of(
+    "app/case",
+    "app/fatigue",
+    "app/laws",
+    "app/mechanics",
+    "app/press_fit",
+    "app/remodelling",
+    "app/report",
+    "app/stepping",
+)
 def test_layering_fields_are_declared(path: Path) -> None:
     """`getattr` with a default hides a field that no class declares."""
     calls = (n for n in ast.walk(tree(path)) if isinstance(n, ast.Call))
