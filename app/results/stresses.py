@@ -101,8 +101,10 @@ class Stresses:
     def follow_density(self, all_regions: bool = False) -> None:
         """Update stiffness that follows a density; with ``all_regions`` all varying stiffness."""
         for elastic_region in self._problem.scene.elastic:
+            points = self.points.get(elastic_region.region)
+            if points is None:
+                continue  # not among the fine regions
             if elastic_region.varies and (all_regions or elastic_region.changing_density):
-                points = self.points[elastic_region.region]
                 self._relative[elastic_region.region] = self._problem.body_forms.relative_stiffness(
                     elastic_region, points
                 )

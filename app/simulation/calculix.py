@@ -19,6 +19,7 @@ import numpy as np
 from app.case.case import Case, LoadedCase
 from app.foundation import files
 from app.foundation.arrays import Floats, Ints
+from app.laws.interface_laws import InterfaceLaw
 from app.laws.loads import Load
 from app.laws.materials import Elastic
 from app.laws.values import amplitude
@@ -38,10 +39,10 @@ from app.system.timing import Timing
 from meshes.data import MeshData
 from meshes.distribute import distribute
 
-# Pressure per penetration, in place of exact contact [MPa/mm].
-STIFF = 1e4
-# Shear per slip of a sticking point over the pressure per penetration.
-STICK = 0.1
+# Pressure per penetration, and shear per slip of a sticking point, in place of exact contact
+# [MPa/mm].
+NORMAL_STIFFNESS = 1e4
+TANGENTIAL_STIFFNESS = 1e3
 # Relative range of Young's modulus that one material of the deck covers.
 ALIKE = 0.02
 # Number in basix of each node of a C3D10.
@@ -63,18 +64,30 @@ def write(case: LoadedCase, data: MeshData, path: Path) -> list[str]:
         f"variation {v.name} is not in the file; set its keys by --set to write it"
         for v in case.variations
     ]
-    soft = (
-        f"a penalty of {STIFF:g} MPa/mm and a stick slope of {STICK * STIFF:g} MPa/mm in the file"
-    )
-    exact = (
-        name for name, law in case.config.interfaces.items() if law.is_contact and law.layer is None
-    )
+    for name, law in case.config.interfaces.items():
+        normal, tangential = _stiffness(law)
+        penalties = []
+        if (normal, tangential) != law.layer:
+            penalties.append(f"a penalty of {normal:g} MPa/mm")
+        if law.layer is None:
+            penalties.append(f"a stick slope of {tangential:g} MPa/mm")
+        if law.is_contact and penalties:
+            text = f"contact is exact in mantle, and has {' and '.join(penalties)} in the file"
+            notes.append(f"interfaces.{name}: {text}")
     notes += [
         f"regions.{name}: in the file E is the mean over each cell, to {ALIKE / 2:.0%}"
         for name, e in case.config.regions.items()
         if e.deforms is True and e.varies
     ]
-    return [*notes, *(f"interfaces.{name}: has {soft}" for name in exact)]
+    return notes
+
+
+def _stiffness(law: InterfaceLaw) -> tuple[float, float]:
+    """Pressure per penetration and shear per slip of a law in the file [MPa/mm]."""
+    if law.layer is None:
+        return NORMAL_STIFFNESS, TANGENTIAL_STIFFNESS
+    normal, tangential = law.layer
+    return normal if math.isfinite(normal) else NORMAL_STIFFNESS, tangential
 
 
 def _refused(case: Case) -> list[Fault]:
@@ -142,12 +155,11 @@ class _Deck:
             for side, inside, outside in sides:
                 f = facets_between(self.tagged, inside, outside)
                 yield from self._surface(f"{i.name}_{side}", f)
-            stiff = i.law.layer[0] if i.law.layer else math.inf
-            stiff = stiff if math.isfinite(stiff) else STIFF
+            normal, tangential = _stiffness(i.law)
             yield f"*SURFACE INTERACTION, NAME={i.name}"
-            yield f"*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR\n{_real(stiff)}"
+            yield f"*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR\n{_real(normal)}"
             if i.law.largest_friction:
-                yield f"*FRICTION\n{_real(i.law.largest_friction, STICK * stiff)}"
+                yield f"*FRICTION\n{_real(i.law.largest_friction, tangential)}"
             yield f"*CONTACT PAIR, INTERACTION={i.name}, TYPE=SURFACE TO SURFACE"
             yield f"{i.name}_slave, {i.name}_master"
         forces = [(load.history, self._forces(load)) for load in self.scene.loads]

@@ -20,6 +20,7 @@ from app.soundness import preview, result_notes
 from tests import support
 
 SPECTRUM = (support.CONFIGS / "verification/spectrum.yaml").read_text()
+POWER = "{intercept: 8.77, slope: 4.68}"
 QUIET = ("output.report=false", "output.fields=false")
 
 
@@ -96,6 +97,29 @@ def test_fatigue_reentrant_edges() -> None:
     assert not len(reentrant_edges(support.mesh(support.case(SPECTRUM)), "bar"))
     around = support.mesh(support.case(support.STEM))
     assert not len(reentrant_edges(around, "cement")) and NEAR > 0
+
+
+@pytest.mark.parametrize("region", ["lower", "upper"])
+def test_fatigue_next_to_or_in_a_region_with_a_table_of_moduli(region: str, tmp_path: Path) -> None:
+    """Without Poisson's ratio two blocks of other moduli have the stress of the load."""
+    case = """
+    geometry: {kind: blocks, blocks: [{name: lower, size: [2 mm, 2 mm, 2 mm]},
+                                      {name: upper, size: [2 mm, 2 mm, 2 mm]}]}
+    mesh: {order: 1, size: 1 mm}
+    regions:
+      lower: {youngs_modulus: [[0 mm, 1 GPa], [2 mm, 1 GPa]], poisson_ratio: 0}
+      upper: {youngs_modulus: 2 GPa, poisson_ratio: 0}
+    supports: {floor: {kind: fixed, boundary: bottom}}
+    loads: {pull: {kind: pressure, boundary: top, pressure: -3 MPa}}
+    stages: [{name: walking}]
+    output: {report: false}
+    """
+    fatigue = f"fatigue={{region: {region}, spectrum: {{walking: 1e6}}, laws: {{p: {POWER}}}}}"
+    results = support.run(case, tmp_path, fatigue)
+    damage = results.fields.on_cells("damage_p")
+    expected = 1e6 * 3**4.68 / 10**8.77
+    np.testing.assert_allclose(damage[damage > 0], expected, rtol=1e-9)
+    assert results.summary["fatigue"]["p"]["stress_p99"] == pytest.approx(3.0)
 
 
 def test_fatigue_life_is_reported_as_a_range(tmp_path: Path) -> None:

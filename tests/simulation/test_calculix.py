@@ -144,6 +144,40 @@ def test_calculix_materials(
     assert "*ELASTIC\n1.1" in text and "*FRICTION\n4.000000000000e-01, 1.0" in text
 
 
+@pytest.mark.parametrize(
+    ("law", "normal", "tangential", "notes"),
+    [
+        ("kind: contact", 1e4, 1e3, ["a penalty of 10000 MPa/mm and a stick slope of 1000 MPa/mm"]),
+        (
+            "kind: contact, elastic_layer: {tangential: 20 MPa/mm}",
+            1e4,
+            20.0,
+            ["a penalty of 10000 MPa/mm in"],
+        ),
+        (
+            "kind: contact, elastic_layer: {normal: 150 MPa/mm, tangential: 130 MPa/mm}",
+            150,
+            130,
+            [],
+        ),
+        ("kind: penalty, penalty: 500 MPa/mm", 500, 500, []),
+    ],
+)
+def test_calculix_stiffness_of_interfaces(
+    law: str, normal: float, tangential: float, notes: list[str], tmp_path: Path
+) -> None:
+    """Stiffnesses are those of the law; what exact contact lacks is in a note."""
+    path = tmp_path / "case.yaml"
+    path.write_text(CASE.replace("FIBRE", "[0, 0, 1]").replace("kind: contact", law))
+    case = load_case(path)
+    written_notes = calculix.write(case, mantle.mesh(case), tmp_path / "case.inp")
+    text = (tmp_path / "case.inp").read_text()
+    assert blocks(text, "SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR")[0].item() == normal
+    np.testing.assert_allclose(blocks(text, "FRICTION")[0], [[0.4, tangential]])
+    found = [note for note in written_notes if note.startswith("interfaces.stem_cement: ")]
+    assert len(found) == len(notes) and all(map(str.__contains__, found, notes))
+
+
 def test_calculix_varying_modulus(tmp_path: Path) -> None:
     """Each cell has, to 1 %, the modulus at its middle, which is linear in z."""
     text = CASE.replace("FIBRE", "[0, 0, 1]").replace("order: 2", "order: 2, curved: false")
@@ -225,7 +259,11 @@ def numbers(solved: support.Solved, u: Floats, monkeypatch: pytest.MonkeyPatch) 
     ("law", "same"),
     [
         ("kind: bonded", []),
-        ("kind: penalty, penalty: 1e4 MPa/mm, friction_coefficient: μ", [0.02, 0.05, 0.05]),
+        (
+            "kind: contact, friction_coefficient: μ,"
+            " elastic_layer: {normal: 1e4 MPa/mm, tangential: 1e3 MPa/mm}",
+            [0.02, 0.05, 0.05],
+        ),
     ],
 )
 def test_calculix_hip_has_equal_displacements(
