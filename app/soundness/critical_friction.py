@@ -72,9 +72,9 @@ def critical_friction_of_points(contact: ContactInterfaces) -> Floats:
     coefficient is 20 to 85 % larger on coarsened shipped cases. Friction below the critical
     coefficient is necessary for uniqueness, not sufficient.
     """
-    stiffness = contact.coupling.local_stiffness()
+    stiffness = contact.coupling.jump_stiffness()
     # A point cannot move in directions that supports hold: they are stiff and uncoupled.
-    free_projector = np.eye(3) - contact.local.projector
+    free_projector = contact.local.free_projector
     stiffness = free_projector @ stiffness @ free_projector
     stiffness += np.trace(stiffness, axis1=1, axis2=2)[:, None, None] * contact.local.projector
     critical = np.full(len(contact.local), np.inf)

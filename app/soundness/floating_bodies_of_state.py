@@ -156,7 +156,7 @@ def _pulls(problem: Problem, motion: Floats, pressures: Floats) -> list[str]:
     assert contact is not None
     local = contact.local
     jump = contact.motions.relative(motion[:, None])[:, :, 0]
-    closing = np.maximum(0.0, -np.einsum("pki,pi->pk", local.normals, jump))
+    closing = np.maximum(0.0, -local.along_normals(jump))
     facet_friction = LIKELY_MULTIPLE * contact.points.normal_error[local.rows]
     friction = _frictions(problem)[local.interface] + facet_friction
     sliding_resistance = friction * np.linalg.norm(jump, axis=1)
@@ -232,7 +232,7 @@ def error_of_runaway(problem: Problem, trial: TrialState) -> Verdict | None:
         return None
     size = contact.motions.frame[1]
     # Closing a gap or making room for an interference is not running away.
-    distance = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(contact.gap, axis=1)
+    distance = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(contact.initial_gap, axis=1)
     for i, term in enumerate(problem.scene.contacts):
         at_interface = contact.local.interface == i
         largest = max(problem.comm.allgather(float(distance[at_interface].max(initial=0.0))))
@@ -272,8 +272,8 @@ def warnings_of_floating_bodies(problem: Problem, trial: TrialState) -> list[Ver
     No load acts on such a body along its free motion, so any place in the gaps is an equilibrium.
     """
     contact, body_names = trial.contact, problem.bodies.names
-    local, size = contact.local, contact.motions.frame[1]
-    gaps = np.einsum("pi,pki->pk", contact.gap_vector(trial.jump), local.normals).max(axis=1)
+    size = contact.motions.frame[1]
+    gaps = contact.openings(trial.jump).max(axis=1)
     is_open = trial.forces.status == OPEN
     if not any(problem.comm.allgather(bool((is_open & (gaps > GAP * size)).any()))):
         return []
