@@ -299,6 +299,7 @@ class ContactInterfaces:
         local_values = {
             name: values_at_all[self.local.rows] for name, values_at_all in values.items()
         }
+        # Initial gap by the keys, which the multipliers of `gap_history` scale over time (n,) [mm].
         self._given_gap = local_values["gap"]
         settling_times = (
             gap_settled(values["gap"][self.points.interface == i], c.gap_history)

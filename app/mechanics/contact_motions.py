@@ -40,7 +40,8 @@ class ContactMotions:
         points: All contact points.
         local: The points of this rank.
         law: Laws at the points of this rank.
-        has_finite_sliding: True if points slide far; then all motions are resisted.
+        has_finite_sliding: True if an interface has finite sliding. Then no motion counts as
+            unresisted.
     """
 
     # Resistance of the active supports to rigid motions, by body.

@@ -121,10 +121,10 @@ class CriticalFriction:
 def critical_friction_of_interfaces(problem: Problem) -> list[CriticalFriction]:
     """Critical friction of each interface with friction whose slip changes normal forces.
 
-    Collective. The list is empty without contact.
+    Collective. The list is empty without contact, and without friction.
     """
     contact = problem.contact
-    if contact is None:
+    if contact is None or not any(c.law.largest_friction for c in problem.scene.contacts):
         return []
     of_interfaces = []
     critical = critical_friction_of_points(contact)

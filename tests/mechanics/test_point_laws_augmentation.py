@@ -1,4 +1,4 @@
-"""The augmentation r: its default from the local stiffness, and its change for bad values."""
+"""The augmentation r: its default from the softest stiffness, and its change for bad values."""
 
 from __future__ import annotations
 
