@@ -187,7 +187,7 @@ class _Touching:
 def contact_law(
     F: Expr,
     jump: Expr,
-    gap: Expr,
+    initial_gap: Expr,
     jump_old: Expr,
     S_star: Coefficient,
     normals: Sequence[Expr],
@@ -204,7 +204,8 @@ def contact_law(
         F: Multiplier (3,) [MPa], from `ContactInterfaces.multiplier` of `mechanics.contact`. An
             elastic layer in series changes it; the penalty method is such a layer.
         jump: Displacement of the slave minus that of the master (3,) [mm].
-        gap: Vector g with g . n the initial gap of each face (3,) [mm]; negative interferes.
+        initial_gap: Vector g with g . n the initial gap of each face (3,) [mm]; an interference is
+            negative.
         jump_old: Jump of the last converged state (3,) [mm].
         S_star: Stand-in for the frozen trial force (3,) [MPa].
         normals: Unit normals of the faces, from master to slave, each (3,).
@@ -216,7 +217,7 @@ def contact_law(
     """
     f = variable(F)
     d = variable(jump)
-    S = f + r * (d + gap)
+    S = f + r * (d + initial_gap)
     dS = f + r * (d - jump_old)
     states = _states(S, dS, normals, μ)
     # The same states with the frozen trial force in the radius of the friction disc.

@@ -206,7 +206,7 @@ class SolverOptions(Section):
     )
     """Raw PETSc options, without the leading dash."""
     augmentation_factor: units.PositiveNumber = DEFAULT_AUGMENTATION
-    """Augmentation r over the local stiffness per area at a point, where r is not given."""
+    """Ratio of the augmentation r to the local stiffness per area, where r is not given."""
 
 
 class TimeOptions(Section):

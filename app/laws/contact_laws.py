@@ -230,7 +230,7 @@ class Unilateral(Frictional):
         return contact_law(
             F=point.F,
             jump=point.jump,
-            gap=point.initial_gap,
+            initial_gap=point.initial_gap,
             jump_old=point.jump_old,
             S_star=point.S_star,
             normals=point.normals,
@@ -304,11 +304,11 @@ class Contact(Unilateral):
         """True if `elastic_layer` has a normal stiffness."""
         return self.elastic_layer is not None and self.elastic_layer.normal is not None
 
-    def augmentation_of(self, local_stiffness: Floats, factor: float) -> Floats | float:
+    def augmentation_of(self, softest_stiffness: Floats, factor: float) -> Floats | float:
         """The given augmentation, or the default."""
         if self.augmentation is not None:
             return self.augmentation
-        return factor * local_stiffness
+        return factor * softest_stiffness
 
 
 class Penalty(Unilateral):

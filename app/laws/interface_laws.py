@@ -18,8 +18,9 @@ formula, edit `forms.contact`. The steps between pass every constant of a law on
     mechanics.point_laws.PointLaws.evaluate        runs the compiled law: forces (n, 3) [MPa]
     mechanics.contact.ContactInterfaces.residual   e + W P: forces of the bodies and of the law [N]
 
-The debonded area of a cohesive interface has a law of contact, `Traction.debonded_contact`, whose
-coefficient takes the same path; `mechanics.debonded_contact` multiplies it by the debonded share.
+The debonded area of a cohesive interface has a law of contact, `Traction.debonded_contact`.
+`PointLaws.evaluate`, not `begin`, passes μ to its compiled law, and `mechanics.debonded_contact`
+multiplies it by the debonded share.
 
 To add a law, derive from `Traction` (a force that is a function of the gap) or from `InterfaceLaw`.
 `Traction` says what its methods return and what becomes of it. `app/README.md` has an example.
@@ -334,8 +335,8 @@ class InterfaceLaw(Extensible):
         return None
 
     @property
-    def jump_stiffness(self) -> tuple[float, float] | None:
-        """Normal and tangential traction per jump of a law of springs [MPa/mm]; None of others.
+    def spring_stiffness(self) -> tuple[float, float] | None:
+        """Normal and tangential stiffness of a law of springs [MPa/mm]; None for other laws.
 
         Soft springs have the traction of the jump at their point. Other tractions are means, from
         which maxima and percentiles recover point values (theory, "Tractions as point values").
@@ -346,7 +347,7 @@ class InterfaceLaw(Extensible):
     def compresses(self) -> bool:
         """True if the sides overlap under pressure by the compression of a layer between them.
 
-        By default of each law whose force follows from the gap.
+        True by default for laws whose force is a function of the gap.
         """
         return not self.is_contact
 
@@ -415,14 +416,15 @@ class InterfaceLaw(Extensible):
         """Force and derivatives of the law, in UFL."""
         raise NotImplementedError
 
-    def augmentation_of(self, local_stiffness: Floats, factor: float) -> Floats | float:
+    def augmentation_of(self, softest_stiffness: Floats, factor: float) -> Floats | float:
         """Augmentation r, the stiffness of the trial force, without a layer (n,) [MPa/mm].
 
         Args:
-            local_stiffness: Stiffness per area against the jump of each point (n,) [MPa/mm].
-            factor: Default ratio of the augmentation to the local stiffness [-].
+            softest_stiffness: Stiffness per area against the jump of each point, in its softest
+                direction (n,) [MPa/mm].
+            factor: Default ratio of the augmentation to this stiffness [-].
         """
-        return factor * local_stiffness
+        return factor * softest_stiffness
 
 
 def insertion_stages(laws: Mapping[str, InterfaceLaw], press_fits: Collection[str]) -> int:

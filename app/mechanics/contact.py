@@ -44,8 +44,8 @@ from app.mechanics.contact_state import (
 )
 from app.mechanics.finite_sliding import PAIRING_ACCURACY, FiniteSliding
 from app.mechanics.jump_coupling import JumpCoupling
-from app.mechanics.point_forces import PointForces
-from app.mechanics.point_laws import PointLaws, gap_vectors
+from app.mechanics.point_forces import PointForces, normal_force
+from app.mechanics.point_laws import PointLaws, initial_gap_vectors
 from app.mechanics.stiffness import Stiffness
 from app.mechanics.switches import Switches
 from app.numerics.sparse import owners
@@ -87,7 +87,7 @@ class TrialState:
         Both are exactly zero where a point is open or sticks, without errors of the solver.
         """
         contact, law = self.contact, self.forces
-        force = law.force + np.einsum("pk,pki->pi", law.pressures, contact.local.normals)
+        force = law.force - normal_force(law.pressures, contact.local.normals)
         force_deficit = contact.local.project_free(contact.multiplier(self.equilibrium) - force)
         motion = self.jump - contact.reference + force_deficit / contact.laws.augmentation[:, None]
         has_friction = contact.laws.law_has_friction & contact.laws.law_is_contact
@@ -103,8 +103,8 @@ class TrialState:
         At an edge the tangential direction is along the edge. If friction on one face holds the
         point against another face, there is a force across the edge too, but no slip.
         """
-        gap = np.einsum("pi,pki->pk", self.jump + self.contact.gap, self.contact.local.normals)
-        is_nearly_closed = gap <= CLOSED_GAP * np.linalg.norm(step, axis=1)[:, None]
+        rounding = CLOSED_GAP * np.linalg.norm(step, axis=1)
+        is_nearly_closed = self.contact.openings(self.jump) <= rounding[:, None]
         return np.asarray((self.forces.pressures > 0) | is_nearly_closed)
 
     def slip(self, friction: Floats) -> Floats:
@@ -157,8 +157,8 @@ class TrialState:
         step, gap_vector = self.jump - contact.reference, contact.gap_vector(self.jump)
         # Equilibrium along a prescribed jump contains the support reaction: take the law's force.
         force = contact.forces(self.equilibrium) + contact.local.prescribed_tangential(law.force)
-        normal = np.einsum("pk,pki->pi", law.pressures, contact.local.normals)
-        friction = force + normal
+        normal = normal_force(law.pressures, contact.local.normals)
+        friction = force - normal
         outputs, slip = law.outputs, self.slip(friction)
         friction_work = np.einsum("pi,pi->p", *self.friction_and_slip())
         dissipated = weight * (outputs["dissipated"] + law.debonded_friction_work + friction_work)
@@ -169,7 +169,7 @@ class TrialState:
         contact_work = (
             np.einsum(
                 "pi,pi->p",
-                before.force - before.friction - normal,
+                before.force - before.friction + normal,
                 gap_vector - before.gap_vector,
             )
             / 2
@@ -207,7 +207,7 @@ class ContactInterfaces:
         motions: Rigid motions of the bodies at the points.
         switches: Changes of the laws that remedies of Newton's method have made.
         state: Committed state of the local points.
-        gap: Initial gap at the current time (n, 3) [mm].
+        initial_gap: Vectors of the initial gap at the current time (n, 3) [mm].
         finite_sliding: Points with finite sliding, if any.
         insertion_time: Time up to which the gap of press fits changes.
         jump_at_committed_pairing: Jumps at the last pairing of the committed state (n, 3) [mm];
@@ -279,7 +279,7 @@ class ContactInterfaces:
     def begin(self, scene: Scene, augmentation_factor: float) -> None:
         """Reset to the unloaded state, with other laws of the same interfaces; collective.
 
-        The default augmentation is ``augmentation_factor`` times the local stiffness per area.
+        The default augmentation is ``augmentation_factor`` times the softest stiffness per area.
         """
         contacts = self._contacts = scene.contacts
         fields = [{"gap": c.gap, **c.constants} for c in contacts]
@@ -299,7 +299,8 @@ class ContactInterfaces:
         local_values = {
             name: values_at_all[self.local.rows] for name, values_at_all in values.items()
         }
-        self._full_gap = local_values["gap"]
+        # Initial gap by the keys, which the multipliers of `gap_history` scale over time (n,) [mm].
+        self._given_gap = local_values["gap"]
         settling_times = (
             gap_settled(values["gap"][self.points.interface == i], c.gap_history)
             for i, c in enumerate(contacts)
@@ -307,14 +308,14 @@ class ContactInterfaces:
         )
         self.insertion_time = max(settling_times, default=0.0) + TIME_ROUNDING
         laws = [c.law for c in contacts]
-        self.laws.begin(laws, local_values, augmentation_factor, self.coupling.local_stiffness())
+        self.laws.begin(laws, local_values, augmentation_factor, self.coupling.jump_stiffness())
         self.switches = Switches.off(len(self.local))
         self._last_trial_force: Floats = np.zeros((len(self.local), 3))
         if self.finite_sliding is not None:
             self.finite_sliding.begin(scene)
         self._committed_time = 0.0
         self.state: ContactState = ContactState.at_rest(
-            np.zeros_like(self.local.x), self.laws.internal_variables
+            len(self.local), self.laws.internal_variables
         )
         self.committed_jump = self.state.jump
         self.set_time(0.0)
@@ -337,17 +338,17 @@ class ContactInterfaces:
         self.motions.update_supports()
         self._unit_jumps = self._jumps_by_supports()
         self.coupling.update(self._stiffness.constraints)
-        self.laws.update_stiffness(self.coupling.local_stiffness())
+        self.laws.update_stiffness(self.coupling.jump_stiffness())
 
     def set_time(self, time: float) -> None:
         """Set gaps and prescribed jumps to a time."""
-        clearance = np.zeros(len(self.local))
+        gap = np.zeros(len(self.local))
         for i, c in enumerate(self._contacts):
             at_interface = self.local.interface == i
-            clearance[at_interface] = gap_at(self._full_gap[at_interface], c.gap_history, time)
-        self._clearance = clearance
+            gap[at_interface] = gap_at(self._given_gap[at_interface], c.gap_history, time)
+        self._normal_initial_gap = gap
         if self.finite_sliding is None:
-            self.gap = gap_vectors(self.local.normals, clearance)
+            self.initial_gap = initial_gap_vectors(self.local.normals, gap)
         else:
             self.finite_sliding.set_time(self._committed_time, time)
             self.set_pairs(self.state.jump)
@@ -362,9 +363,9 @@ class ContactInterfaces:
         closest = self.finite_sliding.find_pairs(jump)
         local.normals[rows, 0] = closest.normal
         self.laws.set_normals(rows)
-        self._jump_at_pairing, gap = jump.copy(), self._clearance.copy()
+        self._jump_at_pairing, gap = jump.copy(), self._normal_initial_gap.copy()
         gap[rows] += closest.gap - np.einsum("pi,pi->p", closest.normal, jump[rows])
-        self.gap = gap_vectors(local.normals, gap)
+        self.initial_gap = initial_gap_vectors(local.normals, gap)
 
     def update_pairs(self, trial: TrialState) -> bool:
         """Pair points if errors of gaps change pressures by more than `PAIRING_ACCURACY`.
@@ -376,7 +377,7 @@ class ContactInterfaces:
         rows = self.finite_sliding.rows
         pressure = trial.forces.pressures[rows, 0]
         gap_error = self.finite_sliding.error(self._jump_at_pairing, trial.jump)
-        error = self.laws.local_stiffness[rows] * gap_error
+        error = self.laws.softest_stiffness[rows] * gap_error
         largest = pressure.max(initial=0.0), error[pressure > 0].max(initial=0.0)
         largest_pressure, largest_error = (self.comm.allreduce(float(v), MPI.MAX) for v in largest)
         if largest_error <= PAIRING_ACCURACY * largest_pressure:
@@ -409,12 +410,16 @@ class ContactInterfaces:
         )
 
     def gap_vector(self, jump: Floats) -> Floats:
-        """Jumps (n, 3) with the initial gap; in finite sliding along the normal alone."""
-        gaps = jump + self.gap
+        """Gap vectors D of jumps (n, 3) [mm]; in finite sliding along the normal alone."""
+        gaps = jump + self.initial_gap
         if self.finite_sliding is not None:
             rows, n = self.finite_sliding.rows, self.local.normals[self.finite_sliding.rows, 0]
             gaps[rows] = np.einsum("pi,pi->p", gaps[rows], n)[:, None] * n
         return gaps
+
+    def openings(self, jump: Floats) -> Floats:
+        """Normal components of the gap vector of jumps (n, 3) on the faces (n, 3) [mm]."""
+        return self.local.along_normals(jump + self.initial_gap)
 
     def constrain(self) -> bool:
         """Constrain interfaces that have to close to hold a body; collective.
@@ -427,7 +432,7 @@ class ContactInterfaces:
             True if interfaces are constrained.
         """
         constrained = np.zeros(len(self.local), dtype=bool)
-        gap = self._clearance.copy()
+        gap = self._normal_initial_gap.copy()
         if self.finite_sliding is not None:
             gap[self.finite_sliding.rows] += self.finite_sliding.paired.gap
         is_touching = (gap <= 0) | self.state.force.any(axis=1)
@@ -457,16 +462,14 @@ class ContactInterfaces:
 
     def is_apart(self) -> bool:
         """Return True if no point touches in the committed state; collective."""
-        gap_vector = self.gap_vector(self.state.jump)
-        gaps = np.einsum("pi,pki->pk", gap_vector, self.local.normals)
-        faces = np.arange(3) < self.local.faces[:, None]
-        touches = self.state.force.any(axis=1) | ((gaps <= 0) & faces).any(axis=1)
+        is_closed = (self.openings(self.state.jump) <= 0) & self.local.is_face
+        touches = self.state.force.any(axis=1) | is_closed.any(axis=1)
         return not self.comm.allreduce(bool(touches.any()), MPI.LOR)
 
     def open(self) -> bool:
         """Open all interfaces that can open; collective.
 
-        Elastic layers and cohesion keep their forces.
+        Laws other than contact keep their forces.
 
         Returns:
             True if interfaces are opened.
@@ -551,7 +554,7 @@ class ContactInterfaces:
         direction = constraints.expand(rigid_motion).array_r.reshape(-1, 3)[
             self.finite_sliding.nodes
         ]
-        gap = self._clearance[rows] + self.finite_sliding.paired.gap
+        gap = self._normal_initial_gap[rows] + self.finite_sliding.paired.gap
         closing_speed = np.einsum("pi,pi->p", self.local.normals[rows, 0], direction)
         is_closing = closing_speed > FACING_COSINE * np.linalg.norm(direction, axis=1)
         nearest = float(np.min(gap[is_closing] / closing_speed[is_closing], initial=np.inf))
@@ -589,7 +592,7 @@ class ContactInterfaces:
         return self.local.project_free(-e / self.local.weight[:, None])
 
     def multiplier(self, e: Floats) -> Floats:
-        """Multiplier part of the trial force (n, 3) [MPa].
+        """Multiplier F, the part of the trial force without r D (n, 3) [MPa].
 
         With an elastic layer of compliance C, contact is exact for the jump without the stretch of
         the layer, D - C (F - F_old). F_old is the last friction; it has no normal part. The trial
@@ -604,7 +607,7 @@ class ContactInterfaces:
         if self.finite_sliding is not None:
             state = replace(state, jump=self.reference)
         forces = self.laws.evaluate(
-            self.multiplier(e), self.with_prescribed(q), self.gap, state, self.switches
+            self.multiplier(e), self.with_prescribed(q), self.initial_gap, state, self.switches
         )
         self._last_trial_force = forces.trial_force
         return forces
@@ -625,9 +628,8 @@ class ContactInterfaces:
 
         Both (n, 3, 3), with P' in the free directions; see the module's docstring.
         """
-        prescribed_projector, weight = self.local.projector, self.local.weight
-        free_projector = np.eye(3) - prescribed_projector
+        free_projector, weight = self.local.free_projector, self.local.weight
         P = free_projector @ law.by_multiplier @ self.laws.multiplier_share @ free_projector
         by_jump = free_projector @ law.by_jump @ free_projector
         scale = (self.laws.augmentation * weight)[:, None, None]
-        return free_projector - P, weight[:, None, None] * by_jump + scale * prescribed_projector
+        return free_projector - P, weight[:, None, None] * by_jump + scale * self.local.projector

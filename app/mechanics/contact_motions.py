@@ -17,12 +17,15 @@ from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact_state import LocalPoints
 from app.mechanics.point_laws import PointLaws
 from app.mechanics.stiffness import Stiffness, support_resistance
-from app.numerics.rigid_motions import motions_outside, relative_resistance, rigid_modes
+from app.numerics.rigid_motions import (
+    FREE_RESISTANCE,
+    motions_outside,
+    relative_resistance,
+    rigid_modes,
+)
 from forms.contact import OPEN
 
-# A rigid motion of bodies is free if its resistance is below this fraction of the largest one.
-FREE_RESISTANCE = 1e-10
-# A body takes part in a free motion of unit size if its components have at least this size.
+# A body takes part in a free motion of unit size if its components exceed this size.
 MOVING_SIZE = 1e-3
 # A motion changes no gap if its resistance, a slope squared, is below this fraction of the largest.
 ZERO_RESISTANCE = 1e-14
@@ -37,7 +40,8 @@ class ContactMotions:
         points: All contact points.
         local: The points of this rank.
         law: Laws at the points of this rank.
-        has_finite_sliding: True if points slide far; then all motions are resisted.
+        has_finite_sliding: True if an interface has finite sliding. Then no motion counts as
+            unresisted.
     """
 
     # Resistance of the active supports to rigid motions, by body.
@@ -130,7 +134,7 @@ class ContactMotions:
         Args:
             stick: Mask of local points that resist their jump (n,).
             slide: Mask of local points that resist their opening (n,).
-            threshold: The threshold over the largest resistance [-].
+            threshold: Ratio of the threshold to the largest resistance [-].
         """
         faces = np.einsum("pki,pkj->pij", self._local.normals, self._local.normals)
         B = stick[:, None, None] * np.eye(3) + slide[:, None, None] * faces

@@ -67,6 +67,20 @@ class LocalPoints:
         """Number of points."""
         return len(self.rows)
 
+    @property
+    def free_projector(self) -> Floats:
+        """Projectors on the part of the jump that no support prescribes (n, 3, 3)."""
+        return np.eye(3) - self.projector
+
+    @property
+    def is_face(self) -> Bools:
+        """True for the faces that a point has (n, 3)."""
+        return np.arange(3) < self.faces[:, None]
+
+    def along_normals(self, vectors: Floats) -> Floats:
+        """Return the components of vectors (n, 3) along the normals of the faces (n, 3)."""
+        return np.asarray(np.einsum("pi,pki->pk", vectors, self.normals))
+
     def project_free(self, vectors: Floats) -> Floats:
         """Remove prescribed components from vectors (n, 3)."""
         return vectors - np.einsum("pij,pj->pi", self.projector, vectors)
@@ -87,14 +101,14 @@ class LocalPoints:
 
 @dataclass
 class ContactState:
-    """Converged state of the contact points of this rank: committed, never half-updated.
+    """Converged state of the contact points of this rank.
 
     Attributes:
         jump: Jump (n, 3) [mm].
         inserted: Jump when the gap of press fits last changed (n, 3) [mm].
         force: Interface force per area, conjugate to the jump (n, 3) [MPa].
         friction: Friction part of the force (n, 3) [MPa].
-        gap_vector: Jump plus initial gap (n, 3) [mm].
+        gap_vector: Gap vector D, the jump plus the initial gap (n, 3) [mm].
         slip: Slip (n, 3) [mm]; `mechanics.contact.TrialState.slip` defines it.
         step_slip: Length of sliding in contact in the last step (n,) [mm].
         path: Length of the path of sliding in contact (n,) [mm].
@@ -122,15 +136,20 @@ class ContactState:
     internal_variables: Mapping[str, Floats]
 
     @classmethod
-    def at_rest(cls, gap: Floats, shapes: Mapping[str, tuple[int, ...]]) -> ContactState:
-        """Unloaded state, for a gap (n, 3) and the shapes of the laws' internal variables."""
-        zero_vectors, zero_scalars = np.zeros_like(gap), np.zeros(len(gap))
+    def at_rest(cls, n: int, shapes: Mapping[str, tuple[int, ...]]) -> ContactState:
+        """Unloaded state of n points without initial gap.
+
+        Args:
+            n: Number of points.
+            shapes: Shapes of the internal variables of the laws, by name.
+        """
+        zero_vectors, zero_scalars = np.zeros((n, 3)), np.zeros(n)
         return cls(
             jump=zero_vectors,
             inserted=zero_vectors,
             force=zero_vectors,
             friction=zero_vectors,
-            gap_vector=gap,
+            gap_vector=zero_vectors,
             slip=zero_vectors,
             step_slip=zero_scalars,
             path=zero_scalars,
@@ -139,9 +158,7 @@ class ContactState:
             smallest_dissipation=zero_scalars,
             contact_work=zero_scalars,
             work=zero_scalars,
-            internal_variables={
-                name: np.zeros((len(gap), *shape)) for name, shape in shapes.items()
-            },
+            internal_variables={name: np.zeros((n, *shape)) for name, shape in shapes.items()},
         )
 
 

@@ -4,7 +4,7 @@ With the traction T of a law and its debonded share s, the force of a point is
 
 .. math:: F = T + P(F - T + r D) \quad \text{with the friction coefficient } s μ .
 
-P is compiled as for contact alone: one kernel for T and P together takes ffcx minutes.
+P is a separate kernel, because ffcx needs minutes to compile T and P together.
 
 The derivative of the friction with respect to s assumes that the radius of the friction disc is
 proportional to the friction coefficient (`forms.contact._friction`): friction at the limit is then
@@ -70,25 +70,28 @@ def debonded_contact(
     inputs: Inputs,
     debonding: Debonding,
     normals: Floats,
-    free_projector: Floats,
+    prescribed_tangents: Floats,
     opened: Bools,
 ) -> DebondedContact:
     """Contact of the debonded share at n points.
 
     Args:
         contact_law: Law of contact P.
-        inputs: Inputs of P by name: force F (n, 3) [MPa]; jump, last jump ``old`` and gap (n, 3)
-            [mm]; augmentation r (n,) [MPa/mm]; with friction, the coefficient μ of the whole area
-            (n,) [-].
+        inputs: Inputs of P by name: ``multiplier`` F (n, 3) [MPa]; ``jump``, ``jump_old`` of the
+            last converged state and ``initial_gap`` (n, 3) [mm]; augmentation ``r`` (n,) [MPa/mm];
+            with friction, the coefficient ``μ`` of the whole area (n,) [-].
         debonding: Cohesive response.
         normals: Normals of the faces, zero beyond their number (n, 3, 3).
-        free_projector: Projectors on the directions that no support prescribes (n, 3, 3).
+        prescribed_tangents: Projectors on the prescribed tangential directions (n, 3, 3). There T
+            is no part of the multiplier.
         opened: Mask of points whose contact is switched off (n,).
     """
     r, share = inputs["r"], debonding.share
     acts = (share > 0) & ~opened
-    force = inputs["force"] - np.einsum("pij,pj->pi", free_projector, debonding.traction)
-    contact_inputs = {**inputs, "force": force}
+    other_directions = np.eye(3) - prescribed_tangents
+    traction = np.einsum("pij,pj->pi", other_directions, debonding.traction)
+    multiplier = inputs["multiplier"] - traction
+    contact_inputs = {**inputs, "multiplier": multiplier}
     if "μ" in inputs:
         contact_inputs["μ"] = inputs["μ"] * share
     response = contact_law(contact_inputs)
@@ -97,14 +100,14 @@ def debonded_contact(
     status = np.rint(response["status"]).astype(np.int64)
     friction = contact_force - normal_force(pressures, normals)
     is_slipping = acts & (status == SLIP)
-    free_traction_by_jump = free_projector @ debonding.traction_by_jump
-    by_jump = by_multiplier @ (r[:, None, None] * np.eye(3) - free_traction_by_jump)
+    traction_by_jump = other_directions @ debonding.traction_by_jump
+    by_jump = by_multiplier @ (r[:, None, None] * np.eye(3) - traction_by_jump)
     # The radius of the friction disc is proportional to the share: d friction/d s = friction/s.
     by_share = np.zeros(len(share))
     by_share[is_slipping] = 1 / share[is_slipping]
     by_jump += by_share[:, None, None] * friction[:, :, None] * debonding.share_by_jump[:, None, :]
-    force_deficit = np.einsum("pij,pj->pi", free_projector, force - contact_force)
-    slip = inputs["jump"] - inputs["old"] + force_deficit / r[:, None]
+    force_deficit = np.einsum("pij,pj->pi", other_directions, multiplier - contact_force)
+    slip = inputs["jump"] - inputs["jump_old"] + force_deficit / r[:, None]
     friction_work = np.where(is_slipping, np.einsum("pi,pi->p", friction, slip), 0.0)
     return DebondedContact(
         acts=acts,

@@ -83,6 +83,6 @@ class JumpCoupling:
         self.D.multAdd(q, self._work, self._work)
         return self._work.array.reshape(-1, 3) - f_q.reshape(-1, 3)
 
-    def local_stiffness(self) -> Floats:
+    def jump_stiffness(self) -> Floats:
         """Stiffness of the jump of each local point with all else held (n, 3, 3) [N/mm]."""
         return diagonal_blocks(self.D, 3)

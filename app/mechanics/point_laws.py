@@ -9,14 +9,16 @@ friction are compiled only if the scene has friction, and laws of edges only if 
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
+from numpy.typing import NDArray
 from ufl import as_ufl
 from ufl.core.expr import Expr
 
@@ -73,13 +75,15 @@ class PointLaws:
         law_has_contact: True where the law is contact, or has contact of the debonded area (n,).
         law_dissipates: True where the law declares the energy that it dissipates (n,).
         internal_variables: Shapes of the internal variables of the laws, by name.
-        local_stiffness: Stiffness k per area against the jump of each point (n,) [MPa/mm].
-        default_augmentation: Default augmentation (n,) [MPa/mm].
+        softest_stiffness: Stiffness k per area against the jump of each point, in its softest
+            direction (n,) [MPa/mm].
+        unscaled_augmentation: Augmentation by the keys of the case, before `scale_augmentation`
+            (n,) [MPa/mm].
         augmentation: Augmentation r, the stiffness of the trial force (n,) [MPa/mm].
         compliance: Compliance C of the elastic layer in series (n, 3, 3) [mm/MPa]; 0 without one.
         layer_share: (1 + k C)^-1: stiffness of the layer over the sum of its and the bodies'
             (n, 3, 3) [-].
-        multiplier_share: 1 - r C: factor of the equilibrium force in the trial force (n, 3, 3) [-].
+        multiplier_share: 1 - r C: factor of the equilibrium force in the multiplier (n, 3, 3) [-].
     """
 
     def __init__(self, comm: MPI.Comm, points: LocalPoints, timing: Timing) -> None:
@@ -91,15 +95,15 @@ class PointLaws:
         laws: Sequence[InterfaceLaw],
         values: Mapping[str, Floats],
         factor: float,
-        local_stiffness: Floats,
+        jump_stiffness: Floats,
     ) -> None:
         """Set the laws of a run, compiled once for all of the same form; collective.
 
         Args:
             laws: Law of each interface.
             values: Constants of the laws at local points (n,), by name.
-            factor: Default augmentation over the local stiffness per area [-].
-            local_stiffness: Stiffness of each jump with all else held (n, 3, 3) [N/mm].
+            factor: Ratio of the default augmentation to the softest stiffness per area [-].
+            jump_stiffness: Stiffness of each jump with all else held (n, 3, 3) [N/mm].
         """
         points, forms = self._points, tuple(law.form for law in laws)
         if forms not in self._groups_by_form:
@@ -113,26 +117,28 @@ class PointLaws:
         self.internal_variables = {
             k: shape for law in laws for k, shape in law.internal_variables.items()
         }
-        self.law_can_open = np.array([law.can_open for law in laws])[points.interface]
-        self.law_has_friction = np.array([law.largest_friction > 0 for law in laws])[
-            points.interface
-        ]
-        self.law_is_contact = np.array([law.is_contact for law in laws])[points.interface]
-        has_contact = [law.is_contact or law.debonded_contact is not None for law in laws]
-        self.law_has_contact = np.array(has_contact)[points.interface]
-        self.law_dissipates = np.array([law.dissipates for law in laws])[points.interface]
+
+        def at_points(of_law: Callable[[InterfaceLaw], float]) -> NDArray[Any]:
+            """Return a value of the law of each point (n,)."""
+            return np.array([of_law(law) for law in laws])[points.interface]
+
+        self.law_can_open = at_points(lambda law: law.can_open)
+        self.law_has_friction = at_points(lambda law: law.largest_friction > 0)
+        self.law_is_contact = at_points(lambda law: law.is_contact)
+        self.law_has_contact = at_points(
+            lambda law: law.is_contact or law.debonded_contact is not None
+        )
+        self.law_dissipates = at_points(lambda law: law.dissipates)
 
         self._augmentation_scale = 1.0
-        self._layer_stiffness = np.array([min(law.layer or (np.inf,)) for law in laws])[
-            points.interface
-        ]
+        self._layer_stiffness = at_points(lambda law: min(law.layer or (np.inf,)))
         self.compliance = np.zeros((len(points), 3, 3))
-        for law, at_points in self._laws:
+        for law, has_law in self._laws:
             if law.layer is not None:
-                self.compliance[at_points] = _compliance(
-                    points.normals[at_points], points.faces[at_points], *law.layer
+                self.compliance[has_law] = _compliance(
+                    points.normals[has_law], points.faces[has_law], *law.layer
                 )
-        self.update_stiffness(local_stiffness)
+        self.update_stiffness(jump_stiffness)
 
     def _compile_groups(self, laws: Sequence[InterfaceLaw]) -> list[CompiledGroup]:
         points, forms = self._points, list(dict.fromkeys(law.form for law in laws))
@@ -167,82 +173,89 @@ class PointLaws:
 
     # Stiffness of the trial force
 
-    def update_stiffness(self, stiffness: Floats) -> None:
-        """Set the default augmentation.
+    def update_stiffness(self, jump_stiffness: Floats) -> None:
+        """Set the softest stiffness, the augmentation, and the shares of layer and multiplier.
 
-        By default it is a factor times the local stiffness per area in its softest direction: it
-        follows materials, cure, mesh and order.
+        The default augmentation is a factor times the smallest eigenvalue of the stiffness per
+        area. So it changes with material, cure, mesh and order.
 
         Args:
-            stiffness: Stiffness of each jump with all else held (n, 3, 3) [N/mm].
+            jump_stiffness: Stiffness of each jump with all else held (n, 3, 3) [N/mm].
         """
-        self.local_stiffness = np.linalg.eigvalsh(stiffness)[:, 0] / self._points.weight
-        softer = self.local_stiffness[:, None, None] * self.compliance
+        self.softest_stiffness = np.linalg.eigvalsh(jump_stiffness)[:, 0] / self._points.weight
+        softer = self.softest_stiffness[:, None, None] * self.compliance
         self.layer_share = np.linalg.inv(np.eye(3) + softer)
-        self.default_augmentation = self._layer_stiffness.copy()
-        for law, at_points in self._laws:
+        self.unscaled_augmentation = self._layer_stiffness.copy()
+        for law, has_law in self._laws:
             # An r above the layer's stiffness would make `multiplier_share` negative.
-            r = law.augmentation_of(self.local_stiffness[at_points], self._factor)
-            self.default_augmentation[at_points] = np.minimum(r, self._layer_stiffness[at_points])
+            r = law.augmentation_of(self.softest_stiffness[has_law], self._factor)
+            self.unscaled_augmentation[has_law] = np.minimum(r, self._layer_stiffness[has_law])
         self.scale_augmentation(self._augmentation_scale)
 
     def scale_augmentation(self, factor: float) -> None:
-        """Multiply the default augmentation by a factor, until the next call."""
+        """Multiply the augmentation of the case by a factor, until the next call."""
         self._augmentation_scale = factor
-        self.augmentation = factor * self.default_augmentation
+        self.augmentation = factor * self.unscaled_augmentation
         layers = self.augmentation[:, None, None] * self.compliance
         self.multiplier_share = np.eye(3) - layers
 
-    def default_augmentation_ratio(self) -> float:
-        """Geometric mean of the default augmentation over the one of the case [-]; collective.
+    def factor_to_default_augmentation(self) -> float:
+        """Geometric mean of r_default / r_case [-]; collective.
 
-        Remedies use it to leave an unsuitable key `augmentation` or `augmentation_factor`.
+        r_default is the augmentation without keys of the case, r_case is `unscaled_augmentation`.
+        Remedies use the factor to leave an unsuitable key `augmentation` or `augmentation_factor`.
         """
         has_augmentation = np.array([law.has_augmentation for law, _ in self._laws])
         is_augmented = has_augmentation[self._points.interface]
         default_augmentation = np.minimum(
-            DEFAULT_AUGMENTATION * self.local_stiffness, self._layer_stiffness
+            DEFAULT_AUGMENTATION * self.softest_stiffness, self._layer_stiffness
         )[is_augmented]
-        is_default = np.array_equal(default_augmentation, self.default_augmentation[is_augmented])
+        case_augmentation = self.unscaled_augmentation[is_augmented]
+        is_default = np.array_equal(default_augmentation, case_augmentation)
         if self._comm.allreduce(is_default, MPI.LAND):
             return 1.0
-        logs = float(np.log(default_augmentation / self.default_augmentation[is_augmented]).sum())
+        logs = float(np.log(default_augmentation / case_augmentation).sum())
         total, count = self._comm.allreduce(np.array([logs, is_augmented.sum()]), MPI.SUM)
         return float(np.exp(total / count)) if count else 1.0
 
     def largest_augmentation(self) -> dict[int, float]:
         """Augmentation of each interface that can open [MPa/mm]; collective."""
         values = {}
-        for i, (law, at_points) in enumerate(self._laws):
+        for i, (law, has_law) in enumerate(self._laws):
             if law.can_open:
-                local = float(self.augmentation[at_points].max(initial=0.0))
+                local = float(self.augmentation[has_law].max(initial=0.0))
                 values[i] = float(self._comm.allreduce(local, MPI.MAX))
         return values
 
     # Forces
 
     def evaluate(
-        self, force: Floats, jump: Floats, gap: Floats, state: ContactState, switches: Switches
+        self,
+        multiplier: Floats,
+        jump: Floats,
+        initial_gap: Floats,
+        state: ContactState,
+        switches: Switches,
     ) -> PointForces:
         """Evaluate the laws at a trial state.
 
         Args:
-            force: Multiplier (n, 3) [MPa].
+            multiplier: Multiplier F (n, 3) [MPa].
             jump: Jump (n, 3) [mm].
-            gap: Gap vectors of the initial gap (n, 3) [mm].
+            initial_gap: Vectors of the initial gap (n, 3) [mm].
             state: Last converged state.
             switches: Changes of the laws by remedies.
         """
         points, r = self._points, self.augmentation
         inputs = {
-            "force": points.acting(force),
+            "multiplier": points.acting(multiplier),
             "jump": points.acting(jump),
-            "gap": gap,
-            "old": points.acting(state.jump),
+            "initial_gap": initial_gap,
+            "jump_old": points.acting(state.jump),
             "r": r,
             "frozen": np.full(len(points), float(switches.freezes_variables)),
         }
-        trial_force = inputs["force"] + r[:, None] * (inputs["jump"] + gap)
+        trial_force = inputs["multiplier"] + r[:, None] * (inputs["jump"] + initial_gap)
         forces = PointForces.zeros(trial_force, r, state.internal_variables)
         for group in self._groups:
             rows, law = group.rows, group.law
@@ -275,10 +288,11 @@ class PointLaws:
                     rows, contact_at_rows, contact_inputs, switches.opened[rows], forces
                 )
         if switches.constrained.any():
-            slip_old = points.tangential(state.jump, np.ones((len(points), 3), dtype=bool))
-            sticking_force = force + r[:, None] * (jump + gap - slip_old)
+            all_faces = np.ones((len(points), 3), dtype=bool)
+            tangential_jump_old = points.tangential(state.jump, all_faces)
+            sticking_force = multiplier + r[:, None] * (jump + initial_gap - tangential_jump_old)
             constrain(forces, points, switches.constrained, sticking_force)
-        # Cohesive tractions stay.
+        # Opened points keep tractions of laws other than contact.
         opened = switches.opened & self.law_is_contact
         if opened.any():
             open_points(forces, opened)
@@ -312,9 +326,13 @@ class PointLaws:
             share=outputs["debonded_share"][rows],
             share_by_jump=outputs["debonded_share_by_jump"][rows],
         )
-        free_projector = np.eye(3) - points.prescribed_tangents[rows]
         added = debonded_contact(
-            contact_law, inputs, debonding, points.normals[rows], free_projector, opened
+            contact_law,
+            inputs,
+            debonding,
+            points.normals[rows],
+            points.prescribed_tangents[rows],
+            opened,
         )
         acts = added.acts
         contact_rows = rows[acts]
@@ -326,7 +344,7 @@ class PointLaws:
         forces.status[contact_rows] = added.status[acts]
         forces.debonded_friction_work[rows] = added.friction_work
         motion = np.zeros_like(forces.force)
-        motion[rows] = inputs["jump"] + inputs["gap"]
+        motion[rows] = inputs["jump"] + inputs["initial_gap"]
         tangential_motion = points.tangential(motion, forces.pressures > 0)
         closed = contact_rows[added.status[acts] != OPEN]
         outputs["slip"][closed] = tangential_motion[closed]
@@ -336,14 +354,14 @@ def _compile_law(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwis
     """The law of n points with the same number m of faces, normals (n, m, 3)."""
     faces = [f"normal_{k}" for k in range(normals.shape[1])]
     duals = [f"dual_{k}" for k in range(normals.shape[1])]
-    vectors = ["force", "jump", "gap", "old", "star", *faces, *duals]
+    vectors = ["multiplier", "jump", "initial_gap", "jump_old", "star", *faces, *duals]
 
     def build(x: dict[str, Expr]) -> dict[str, Expr]:
         point = AtPoint(
-            F=x["force"],
+            F=x["multiplier"],
             jump=x["jump"],
-            initial_gap=x["gap"],
-            jump_old=x["old"],
+            initial_gap=x["initial_gap"],
+            jump_old=x["jump_old"],
             S_star=x["star"],
             normals=contact.Faces.of([x[f] for f in faces], [x[d] for d in duals]),
             r=x["r"],
@@ -399,8 +417,8 @@ def _compliance(
     )
 
 
-def gap_vectors(normals: Floats, gap: Floats) -> Floats:
-    """Vectors g (n, 3) with g . n_k the given normal gap on every face of each point [mm].
+def initial_gap_vectors(normals: Floats, gap: Floats) -> Floats:
+    """Vectors g (n, 3) with g . n_k the given initial gap on every face of each point [mm].
 
     Args:
         normals: Unit normals of the faces, zero beyond their number (n, 3, 3).

@@ -10,9 +10,9 @@ changes in the step, `respond` solves for F_h at each point. Where the jump is a
 friction of the last converged state.
 
 F_h is along the prescribed slip, so its size is one unknown per point. The residual H P - F_h is
-not negative for F_h = 0 and negative for a large one, so that a root is between these bounds. Each
-iterate of Newton's method replaces one of the bounds. Bisection replaces a Newton step that leaves
-the bounds, or that follows one which did not halve the residual.
+>= 0 at F_h = 0 and < 0 at the upper bound, so a root lies between. Each iterate of Newton's method
+replaces one of the bounds. Bisection replaces a Newton step if it leaves the bounds or if the step
+before did not halve the residual.
 
 At a point of one face the residual decreases and is concave on the side of the start, so that the
 iterates approach the root from one side. They are slowest where the force across the slip equals
@@ -33,12 +33,12 @@ from app.foundation.arrays import Bools, Floats
 # A prescribed slip below this fraction of the jumps counts as zero.
 SLIP_ROUNDING = 1e-13
 # A prescribed slip counts as zero, too, if r times the slip is below this fraction of the whole
-# trial force. The errors of the friction along the slip are larger. They would decide whether the
-# point sticks or slips.
+# trial force. Errors of the friction would then exceed r times the slip and decide between stick
+# and slip.
 REST_TOLERANCE = 1e-11
 # The force along a prescribed jump has converged within this fraction of the trial force.
 FORCE_TOLERANCE = 1e-12
-# Start of the upper bound of that force over the trial force [-]: larger than any μ.
+# First ratio of the upper bound of that force to the trial force [-]: larger than any μ.
 UPPER_BOUND = 1e3
 
 # Inputs and outputs of a law at n points, by name: (n, ...).
@@ -69,17 +69,17 @@ class PrescribedSlip:
         """Return the prescribed slip between two states of points.
 
         Args:
-            inputs: Force (n, 3) [MPa], jump, last jump ``old`` and gap (n, 3) [mm], and the
-                augmentation r (n,) [MPa/mm].
+            inputs: ``multiplier`` (n, 3) [MPa], ``jump``, ``jump_old`` of the last converged state
+                and ``initial_gap`` (n, 3) [mm], and the augmentation ``r`` (n,) [MPa/mm].
             H: Projectors on the prescribed directions (n, 3, 3).
             last_friction: Friction in the last converged state (n, 3) [MPa].
         """
-        jump, old_jump = inputs["jump"], inputs["old"]
-        slip = np.einsum("pij,pj->pi", H, jump - old_jump)
+        jump, jump_old = inputs["jump"], inputs["jump_old"]
+        slip = np.einsum("pij,pj->pi", H, jump - jump_old)
         size = np.linalg.norm(slip, axis=1)
-        jump_sizes = np.linalg.norm(jump, axis=1) + np.linalg.norm(old_jump, axis=1)
-        opening = np.linalg.norm(jump + inputs["gap"], axis=1)
-        scale = np.linalg.norm(inputs["force"], axis=1) + inputs["r"] * opening
+        jump_sizes = np.linalg.norm(jump, axis=1) + np.linalg.norm(jump_old, axis=1)
+        opening = np.linalg.norm(jump + inputs["initial_gap"], axis=1)
+        scale = np.linalg.norm(inputs["multiplier"], axis=1) + inputs["r"] * opening
         is_sliding = size > SLIP_ROUNDING * jump_sizes
         is_sliding &= inputs["r"] * size > REST_TOLERANCE * scale
         return cls(
@@ -98,7 +98,7 @@ def respond(
     Args:
         law: The law. Its outputs include ``force`` (n, 3) [MPa], and ``by_multiplier`` (n, 3, 3)
             or, if the force depends on the jump alone, ``by_jump`` (n, 3, 3).
-        inputs: Inputs of the law, as in `PrescribedSlip.of`, without F_h in the force.
+        inputs: Inputs of the law, as in `PrescribedSlip.of`, without F_h in the multiplier.
         H: Projectors on the prescribed tangential directions (n, 3, 3).
         M: Share of the multiplier in the trial force (n, 3, 3) [-].
         last_friction: Friction in the last converged state (n, 3) [MPa].
@@ -114,13 +114,18 @@ def respond(
     lower, upper = np.zeros(n), UPPER_BOUND * slip.scale
     size, last_residual = upper.copy(), np.full(n, np.inf)
     tolerance = FORCE_TOLERANCE * slip.scale
-    while True:
+
+    def response_to(size: Floats) -> Outputs:
+        """Return the outputs of the law for a size of F_h (n,) [MPa]."""
         F_h = np.where(is_sliding[:, None], size[:, None] * direction, slip.last_friction)
-        force = inputs["force"] + np.einsum("pij,pj->pi", M, F_h)
-        response = law({**inputs, "force": force})
-        if "by_jump" in response:
-            # A traction that depends on the jump alone.
-            return response
+        multiplier = inputs["multiplier"] + np.einsum("pij,pj->pi", M, F_h)
+        return law({**inputs, "multiplier": multiplier})
+
+    response = response_to(size)
+    if "by_jump" in response:
+        # A traction that depends on the jump alone.
+        return response
+    while True:
         P_F = response["by_multiplier"]
         residual = np.einsum("pi,pi->p", direction, response["force"]) - size
         slope = 1 - np.einsum("pi,pij,pjk,pk->p", direction, P_F, M, direction)
@@ -138,6 +143,7 @@ def respond(
         new_size = np.where(is_within & is_halved, size + step, (lower + upper) / 2)
         np.copyto(size, new_size, where=is_unfinished)
         last_residual = np.abs(residual)
+        response = response_to(size)
     # Implicit derivative of F_h by the multiplier F.
     factor = np.divide(1.0, slope, out=np.zeros(n), where=is_sliding & (slope != 0))
     F_h_by_F = np.einsum("p,pi,pk,pkj->pij", factor, direction, direction, P_F)

@@ -73,7 +73,7 @@ class Problem:
         size: Diagonal of the bounding box of the model [mm].
 
     Args:
-        augmentation_factor: Default augmentation over the local stiffness per area [-].
+        augmentation_factor: Ratio of the default augmentation to the softest stiffness [-].
         same_stiffness: Problem with other contacts and the same constant stiffness, whose inverse
             is shared.
 
@@ -139,7 +139,7 @@ class Problem:
 
         Args:
             scene: Scene that differs in the values of loads and in contact laws alone.
-            augmentation_factor: Default augmentation over the local stiffness per area.
+            augmentation_factor: Ratio of the default augmentation to the softest stiffness [-].
         """
         self.scene = scene
         self.set_stage(0, self.stiffness.K.createVecRight())

@@ -21,13 +21,14 @@ from forms.contact import OPEN, STICK
 
 @dataclass(frozen=True)
 class Switches:
-    """Changes of the laws at n points; remedies replace this value.
+    """Changes of the laws at n points. The object is immutable; remedies replace it.
 
     Attributes:
         freezes_variables: True while internal variables keep the values of the last converged
             state.
         constrained: Mask of points that are forced to stick (n,).
-        opened: Mask of points whose contact is switched off (n,). Layers and cohesion still act.
+        opened: Mask of points whose contact is switched off (n,). Laws other than contact keep
+            their forces.
         tresca_force: Trial forces (n, 3) whose pressures limit friction [MPa]. The problem is then
             that of Tresca. None: the pressures of the state limit friction, as in Coulomb's law.
     """
@@ -51,8 +52,8 @@ def tresca_response(
 
     Args:
         law: The law of contact.
-        inputs: Inputs of the law by name, with the gap (n, 3) [mm] and the augmentation r (n,)
-            [MPa/mm].
+        inputs: Inputs of the law by name, with ``initial_gap`` (n, 3) [mm] and the augmentation
+            ``r`` (n,) [MPa/mm].
         response: Outputs of the law under the pressures of the state.
         normals: Normals of the faces, zero beyond their number (n, 3, 3).
         excess: Trial force with the given pressures minus that of the state (n, 3) [MPa].
@@ -61,8 +62,8 @@ def tresca_response(
         Outputs of the law: normal force of the state, friction under the given pressures.
     """
     along_normals = _span_projectors(normals)
-    gap = inputs["gap"] + np.einsum("pij,pj->pi", along_normals, excess) / inputs["r"][:, None]
-    given = law({**inputs, "gap": gap})
+    change = np.einsum("pij,pj->pi", along_normals, excess) / inputs["r"][:, None]
+    given = law({**inputs, "initial_gap": inputs["initial_gap"] + change})
     faces = response["pressures"].shape[1]
     pressed, given_pressed = (
         np.where(values["pressures"][:, :, None] > 0, normals[:, :faces], 0.0)
@@ -117,5 +118,5 @@ def open_points(point_forces: PointForces, opened: Bools) -> None:
 
 
 def _span_projectors(normals: Floats) -> Floats:
-    """Projectors (n, 3, 3) on the span of normals (n, m, 3), of which zero ones count for none."""
+    """Projectors (n, 3, 3) on the span of normals (n, m, 3); zero rows do not contribute."""
     return np.asarray(np.linalg.pinv(normals) @ normals)

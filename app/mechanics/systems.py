@@ -337,7 +337,7 @@ class ContactSystem(BondedSystem):
         version = self._problem.stiffness.version
         if self._coarse_version != version:
             self._coarse_motions, self._coarse_version = sliding_motions(self._problem), version
-        free_projector, law = np.eye(3) - self.contact.local.projector, self.trial.forces
+        free_projector, law = self.contact.local.free_projector, self.trial.forces
         resisted = law.resisted @ self.contact.laws.layer_share
         free_directions_of_points = free_projector @ free_directions(resisted) @ free_projector
         self._coarse_motions.update(

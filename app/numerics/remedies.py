@@ -59,7 +59,7 @@ def solve(solver: Solver) -> NewtonResult:
     if (
         contact
         and solver.converged
-        and augmentation < SMALL_AUGMENTATION * contact.laws.default_augmentation_ratio()
+        and augmentation < SMALL_AUGMENTATION * contact.laws.factor_to_default_augmentation()
     ):
         augmentation, iterations = _refine(solver, contact)
         runs.append(iterations)
@@ -95,7 +95,7 @@ def _refine(solver: Solver, contact: SolvedContact) -> tuple[float, tuple[int, i
         The augmentation of the solution; Newton and Krylov iterations.
     """
     coarse, iterations_before = solver.x.copy(), len(solver.residuals)
-    default = contact.laws.default_augmentation_ratio()
+    default = contact.laws.factor_to_default_augmentation()
     contact.laws.scale_augmentation(default)
     log.info("     converged: refining with augmentation %.3g r, the default", default)
     iterations = solver.run()
@@ -171,7 +171,7 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
             yield f"augmentation {factor:g} r{_augmentation_text(contact)}"
     if solver.converged:
         return
-    default = contact.laws.default_augmentation_ratio()
+    default = contact.laws.factor_to_default_augmentation()
     if default == 1.0:
         return
     start.copy(solver.x)

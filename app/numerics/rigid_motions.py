@@ -11,15 +11,18 @@ from numpy.typing import NDArray
 from app.foundation.arrays import Floats, Ints
 
 DIRECTIONS = [f"{motion} {axis}" for motion in ("move along", "rotate about") for axis in "xyz"]
-# Part (squared) of a named motion among the free ones from which it is free.
+# A rigid motion of bodies is free if its resistance is below this fraction of the largest one.
+FREE_RESISTANCE = 1e-10
+# A named motion of unit size is free if its part in the span of the free motions has at least this
+# square.
 FREE_SHARE = 0.9
-# Part outside the motions already named from which it is named too.
+# A free motion is named if its part outside the motions already named has at least this square.
 NEW_SHARE = 0.2
-# A motion of unit size is one of others if its part outside them is below this.
+# A motion of unit size is outside the span of others if its part outside exceeds this size.
 INDEPENDENT_SIZE = 1e-3
-# Cosine of the angle to an axis up to which a direction is along it.
+# A direction is along an axis if the cosine of their angle exceeds this.
 ALIGNED_COSINE = 0.9999
-# Number of bodies up to which all subsets are searched.
+# Largest number of bodies of which all subsets are searched.
 SUBSET_BODIES = 6
 
 

@@ -51,10 +51,13 @@ class ContactLaw(Protocol):
     """
 
     def scale_augmentation(self, factor: float) -> None:
-        """Multiply the default augmentation by a factor, until the next call."""
+        """Multiply the augmentation of the case by a factor, until the next call."""
 
-    def default_augmentation_ratio(self) -> float:
-        """Geometric mean of the default augmentation over the one of the case [-]; collective."""
+    def factor_to_default_augmentation(self) -> float:
+        """Geometric mean of the ratio of the default augmentation to that of the case [-].
+
+        Collective.
+        """
 
 
 class SolvedContact(Protocol):

@@ -77,7 +77,7 @@ LINKS: Mapping[FactorName, tuple[str, ...]] = {
     ),
     "numerical_solver_error": (
         "tests/results/test_balance.py",
-        "tests/mechanics/test_contact_law_augmentation.py",
+        "tests/mechanics/test_point_laws_augmentation.py",
         "tests/numerics/test_newton.py",
         "configs/studies/stance_penalty.yaml",
     ),

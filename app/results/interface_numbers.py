@@ -27,6 +27,7 @@ from app.foundation.arrays import Floats, Ints
 from app.interfaces.faces import dual_vectors
 from app.interfaces.interface_facets import InterfaceFacets
 from app.mechanics.contact import ContactInterfaces, TrialState
+from app.mechanics.point_forces import normal_force
 from app.mechanics.problem import Problem
 from app.results.cycles import OF_CYCLES
 from app.results.damage import BROKEN, zone
@@ -54,7 +55,7 @@ def normal_pressure(pressures: Floats, normals: Floats) -> Floats:
 
     Negative values are tension, which laws without opening can carry.
     """
-    size = np.linalg.norm(np.einsum("pk,pki->pi", pressures, normals), axis=1)
+    size = np.linalg.norm(normal_force(pressures, normals), axis=1)
     return np.where(pressures.sum(axis=1) < 0, -size, size)
 
 
@@ -68,8 +69,7 @@ def least_friction(trial: TrialState) -> tuple[Floats, Floats]:
     """
     contact, law, normals = trial.contact, trial.forces, trial.contact.local.normals
     pressures, friction = law.pressures.copy(), contact.state.friction.copy()
-    opening = np.einsum("pi,pki->pk", trial.jump + contact.gap, normals)
-    is_face = np.arange(3) < contact.local.faces[:, None]
+    opening, is_face = contact.openings(trial.jump), contact.local.is_face
     rounding = CLOSED * np.linalg.norm(law.force, axis=1) / contact.laws.augmentation
     is_closed = np.where(is_face, np.abs(opening) <= rounding[:, None], True).all(axis=1)
     has_edge = (contact.local.faces > 1) & (law.status == STICK)
@@ -90,9 +90,8 @@ def least_friction(trial: TrialState) -> tuple[Floats, Floats]:
 def overlap_of_faces(trial: TrialState) -> Floats:
     """Return the overlap of the faces of local points (n, 3) [mm], 0 where they are open."""
     contact = trial.contact
-    opening = np.einsum("pi,pki->pk", trial.jump + contact.gap, contact.local.normals)
-    is_face = np.arange(3)[None, :] < contact.local.faces[:, None]
-    return np.where(is_face, np.maximum(-opening, 0.0), 0.0)
+    opening = contact.openings(trial.jump)
+    return np.where(contact.local.is_face, np.maximum(-opening, 0.0), 0.0)
 
 
 def status_at_rest(trial: TrialState) -> Ints:
@@ -200,7 +199,7 @@ class ContactSamples:
         self.all_corners = corners
         self.interface, self.x, self.weight = corners.interface, corners.x, corners.weight
         motion = motion_since(0.0)
-        opening = np.einsum("pi,pki->pk", motion + at_corners(contact.gap), corners.normals)
+        opening = np.einsum("pi,pki->pk", motion + at_corners(contact.initial_gap), corners.normals)
         is_face = np.arange(3)[None, :] < corners.faces[:, None]
         for i, interface in enumerate(problem.scene.contacts):
             if interface.off_bone is not None:
@@ -246,8 +245,8 @@ class ContactSamples:
         self._contact, self._jump, self.contacts = contact, trial.jump, contacts
         # If a normal is wrong by an angle, slip times this angle is an overlap with pressure.
         pressed = np.linalg.norm(state.slip, axis=1) * points.normal_error[local.rows]
-        self.by_facets = contact.gather(contact.laws.local_stiffness * pressed)
-        self._body_stiffness = at_corners(contact.laws.local_stiffness)
+        self.by_facets = contact.gather(contact.laws.softest_stiffness * pressed)
+        self._body_stiffness = at_corners(contact.laws.softest_stiffness)
         self.facet_sizes = contact.edge_lengths
         self.surfaces = parts or [Surface(corners, i, {}) for i in range(len(contacts))]
 
@@ -287,7 +286,7 @@ class ContactSamples:
         Returns:
             Parts [-] (n, 1), by the name of the traction; 1 without springs.
         """
-        stiffnesses = self.contacts[i].law.jump_stiffness
+        stiffnesses = self.contacts[i].law.spring_stiffness
         if stiffnesses is None:
             return {"pressure": 1.0, "shear": 1.0}
         normal, tangential = (1 / (1 + self._body_stiffness / k) for k in stiffnesses)
@@ -451,7 +450,7 @@ def overlap(contact: ContactInterfaces, jump: Floats) -> list[dict[str, float]]:
     """
     motion = _motion(contact, jump)
     surface = contact.points.surface
-    gap = surface.spread(contact.gather(contact.gap))
+    gap = surface.spread(contact.gather(contact.initial_gap))
     clearance = np.einsum("pi,pi->p", gap, surface.normals[:, 0])
     penetrations = []
     for rows, triangles in zip(surface.facets, surface.triangles, strict=True):

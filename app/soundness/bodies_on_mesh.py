@@ -22,8 +22,12 @@ from app.foundation.verdict import Reason, Verdict, note
 from app.laws.interface_laws import InterfaceLaw
 from app.laws.supports import AnySupport
 from app.laws.values import gap_at
-from app.numerics.rigid_motions import add_relative, motions_in_words, rigid_modes
-from app.soundness.floating_bodies_of_state import FREE
+from app.numerics.rigid_motions import (
+    FREE_RESISTANCE,
+    add_relative,
+    motions_in_words,
+    rigid_modes,
+)
 from app.system.layout import point_text
 from meshes.data import connected
 from meshes.pieces import MeshPieces, Piece, Touch
@@ -129,7 +133,7 @@ class BodiesOnMesh:
         errors = []
         for k, left_by_supports in self._left_by_supports():
             free_motions, _ = self._free_motions(
-                left_by_supports, contact_resistance, bonded_resistance, FREE
+                left_by_supports, contact_resistance, bonded_resistance, FREE_RESISTANCE
             )
             remedy = "add a support, or contact with a body that is held"
             for motion_text in self._motion_texts(free_motions):
@@ -162,7 +166,7 @@ class BodiesOnMesh:
                 n for n, gap in gaps_in_time.items() if gap_at(*gap, k + JUST_AFTER).min() > 0
             ]
             free_motions, _ = self._free_motions(
-                left_by_supports, *self._resistance(None, open_interfaces), FREE
+                left_by_supports, *self._resistance(None, open_interfaces), FREE_RESISTANCE
             )
             interface_names = " and ".join(f"'{n}'" for n in open_interfaces)
             remedy = "hold the body by a support or a weak foundation, or start in contact"
@@ -203,7 +207,7 @@ class BodiesOnMesh:
                     if part.region == m.region:
                         resistance[self._group_of_part[i]] += guided_rotations
             values, vectors = np.linalg.eigh(resistance)
-            is_free = values <= FREE * np.maximum(values[:, -1:], np.finfo(float).tiny)
+            is_free = values <= FREE_RESISTANCE * np.maximum(values[:, -1:], np.finfo(float).tiny)
             free_vectors = [np.kron(np.eye(n)[:, [b]], vectors[b][:, is_free[b]]) for b in range(n)]
             yield k, np.hstack(free_vectors)
 

@@ -2,7 +2,7 @@
 
 A single contact point may have several equilibria. Let A be the tangential block of its stiffness,
 and w its coupling row, the change of the normal force by slip. The critical friction coefficient is
-the least value of t·At / |w·t| over unit vectors t of the tangent plane (derived in
+the smallest value of t·At / |w·t| over unit vectors t of the tangent plane (derived in
 `docs/theory.md`). In two dimensions it is Klarbring's k_T / |w|.
 
 Take t = (cos θ, sin θ) in axes along and across w, and τ = tan θ. With [[a, b], [b, c]], the
@@ -27,11 +27,11 @@ from app.foundation.arrays import Floats
 from app.foundation.verdict import Reason, Severity, Verdict
 from app.mechanics.contact import ContactInterfaces
 from app.mechanics.problem import Problem
-from app.system.layout import point_text
+from app.system.layout import point_text, several
 
 
 def critical_friction(stiffness: Floats, normals: Floats) -> Floats:
-    """Friction coefficient from which on a point may have several equilibria or none.
+    """Smallest friction coefficient at which a point may have several equilibria or none.
 
     Args:
         stiffness: Stiffness against a jump of each point, positive definite (n, 3, 3).
@@ -44,8 +44,7 @@ def critical_friction(stiffness: Floats, normals: Floats) -> Floats:
     row = np.einsum("pi,pij->pj", n, stiffness)
     w = row - np.einsum("pi,pi->p", row, n)[:, None] * n
     size = np.linalg.norm(w, axis=1)
-    bound = np.linalg.norm(row, axis=1)
-    coupled = size > np.finfo(float).eps * bound
+    coupled = size > np.finfo(float).eps * np.linalg.norm(row, axis=1)
     critical = np.full(len(n), np.inf)
     K, n, w, size = stiffness[coupled], n[coupled], w[coupled], size[coupled]
     coupled_direction = w / size[:, None]
@@ -57,7 +56,8 @@ def critical_friction(stiffness: Floats, normals: Floats) -> Floats:
     companion[:, 1, 0] = companion[:, 2, 1] = 1
     companion[:, 0, 2] = -2 * b / c
     companion[:, 1, 2] = -(2 * c - a) / c
-    # The real part of a complex root is another direction, and its value is no smaller.
+    # The real part of a complex root is not stationary. Its value is not below the minimum, so it
+    # does no harm.
     τ = np.linalg.eigvals(companion).real
     value = (a[:, None] + 2 * b[:, None] * τ + c[:, None] * τ**2) / np.sqrt(1 + τ**2)
     critical[coupled] = value.min(axis=1) / size
@@ -65,16 +65,16 @@ def critical_friction(stiffness: Floats, normals: Floats) -> Floats:
 
 
 def critical_friction_of_points(contact: ContactInterfaces) -> Floats:
-    """Least critical coefficient of the faces of each local point with all others fixed (n,).
+    """Smallest critical coefficient over the faces of each local point (n,).
 
-    The estimate is local and on the safe side: it fixes the bodies around a point. The exact
-    stiffness, of a point in bodies that deform, takes a solve for each point. With it the least
-    coefficient is 20 to 85 % larger on coarsened shipped cases. Friction below the critical
-    coefficient is necessary for uniqueness, not sufficient.
+    All other points are fixed. The estimate is on the safe side, because the bodies around a point
+    are fixed, too. The exact stiffness, with deforming bodies, needs one solve per point. With it
+    the smallest coefficient is 20 to 85 % larger on coarsened shipped cases. Friction below the
+    critical coefficient is necessary for uniqueness, not sufficient.
     """
-    stiffness = contact.coupling.local_stiffness()
+    stiffness = contact.coupling.jump_stiffness()
     # A point cannot move in directions that supports hold: they are stiff and uncoupled.
-    free_projector = np.eye(3) - contact.local.projector
+    free_projector = contact.local.free_projector
     stiffness = free_projector @ stiffness @ free_projector
     stiffness += np.trace(stiffness, axis1=1, axis2=2)[:, None, None] * contact.local.projector
     critical = np.full(len(contact.local), np.inf)
@@ -94,8 +94,8 @@ class CriticalFriction:
     Attributes:
         interface: Its name.
         friction: Friction coefficient of its law.
-        smallest: Least critical coefficient of its points.
-        x: Point with the least critical coefficient [mm].
+        smallest: Smallest critical coefficient of its points.
+        x: Point with the smallest critical coefficient [mm].
         points_beyond: Number of points whose critical coefficient is below the friction.
     """
 
@@ -110,10 +110,9 @@ class CriticalFriction:
         if not self.points_beyond:
             return []
         message = (
-            f"friction coefficient {self.friction:g} exceeds the critical value at"
-            f" {self.points_beyond} "
-            f"points (smallest {self.smallest:.3g}, at {point_text(self.x)}): solutions may not be "
-            "unique there"
+            f"friction coefficient {self.friction:g} exceeds the critical value at "
+            f"{several(self.points_beyond, 'point')}, where solutions may not be unique; the "
+            f"smallest critical value is {self.smallest:.3g}, at {point_text(self.x)}"
         )
         location = f"interface '{self.interface}'"
         return [Verdict(message, location, severity=Severity.WARNING, code=Reason.NOT_UNIQUE)]
@@ -122,19 +121,19 @@ class CriticalFriction:
 def critical_friction_of_interfaces(problem: Problem) -> list[CriticalFriction]:
     """Critical friction of each interface with friction whose slip changes normal forces.
 
-    Collective. The list is empty without contact.
+    Collective. The list is empty without contact, and without friction.
     """
     contact = problem.contact
-    if contact is None:
+    if contact is None or not any(c.law.largest_friction for c in problem.scene.contacts):
         return []
     of_interfaces = []
     critical = critical_friction_of_points(contact)
     for i, term in enumerate(problem.scene.contacts):
         at_interface = np.flatnonzero(contact.local.interface == i)
-        k = at_interface[np.argmin(critical[at_interface])] if len(at_interface) else 0
-        local_smallest = (
-            (float(critical[k]), tuple(contact.local.x[k])) if len(at_interface) else (np.inf, ())
-        )
+        local_smallest: tuple[float, tuple[float, ...]] = (np.inf, ())
+        if len(at_interface):
+            k = at_interface[np.argmin(critical[at_interface])]
+            local_smallest = float(critical[k]), tuple(contact.local.x[k])
         smallest, x = min(problem.comm.allgather(local_smallest))
         points_beyond = int((critical[at_interface] < term.law.largest_friction).sum())
         points_beyond = problem.comm.allreduce(points_beyond, MPI.SUM)

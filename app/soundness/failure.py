@@ -136,7 +136,7 @@ def explanation_of_failure(
     # The first hypothesis that holds is the cause.
     if floating:
         cause = Verdict(
-            floating[0], remedy=floating_bodies_of_state.HOLD, code=Reason.FLOATING_BODY
+            floating[0], remedy=floating_bodies_of_state.HOLD_REMEDY, code=Reason.FLOATING_BODY
         )
     elif runaway:
         cause = Verdict(runaway.what, remedy=FAR, code=Reason.LARGE_DISPLACEMENT)

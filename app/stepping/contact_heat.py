@@ -132,8 +132,8 @@ class ContactHeat:
         contact, laws = self._contact, self._contact.laws
         slip = np.linalg.norm(trial.jump - contact.state.jump, axis=1)
         # Rounding of equilibrium grows with the displacements of the bodies.
-        local_stiffness = contact.coupling.D.getDiagonal().array.reshape(-1, 3).max(axis=1)
-        stiffness = local_stiffness + laws.augmentation * contact.local.weight
+        largest_stiffness = contact.coupling.D.getDiagonal().array.reshape(-1, 3).max(axis=1)
+        stiffness = largest_stiffness + laws.augmentation * contact.local.weight
         force = stiffness * np.linalg.norm(trial.jump, axis=1)
         power = np.where(self.is_rubbing, force * slip, 0.0) / self._stage_length
         total = self._problem.comm.allreduce(float(np.sum(power**2)), MPI.SUM)

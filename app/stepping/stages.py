@@ -180,7 +180,7 @@ class SolverSettings:
         max_iterations: Largest number of Newton iterations in a step.
         linear: Linear solver: auto, direct, multigrid or condensed.
         petsc: Raw PETSc options.
-        augmentation_factor: Augmentation over the local stiffness per area at a point.
+        augmentation_factor: Ratio of the default augmentation to the softest stiffness [-].
         solves: Expected number of contact solves, by which `auto` chooses; 0 never condenses.
         memory: Memory of a rank [byte], by which `auto` chooses.
         stop: Returns the name of a pending stop signal, or "".

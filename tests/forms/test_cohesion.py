@@ -66,7 +66,7 @@ class Points:
         values = {k: np.array([constants[k] for constants in every])[interface] for k in every[0]}
         values["μ"] = np.array(μ)[interface]
         self.law.begin(laws, values, 1.0, tensors + 1e3 * np.eye(3))
-        self.state = ContactState.at_rest(np.zeros((n, 3)), INTERNAL_VARIABLES)
+        self.state = ContactState.at_rest(n, INTERNAL_VARIABLES)
         self.force, self.work, self.spent = np.zeros((n, 3)), np.zeros(n), np.zeros(n)
         self.least = 0.0
 

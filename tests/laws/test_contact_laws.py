@@ -131,17 +131,17 @@ def test_contact_laws_layers() -> None:
     assert both.layer == (90.0, 40.0) and both.compresses
     keys = {"kind": "penalty", "friction_coefficient": 0.3, "penalty": "500 MPa/mm"}
     penalty = Penalty.model_validate(keys)
-    assert penalty.layer == penalty.jump_stiffness == (500.0, 500.0)
+    assert penalty.layer == penalty.spring_stiffness == (500.0, 500.0)
     assert penalty.is_contact and penalty.can_open
     # The same form: both laws share their compiled code.
     assert penalty.form == contact().form
 
 
 def test_contact_laws_augmentation_is_given_or_follows_the_bodies() -> None:
-    local_stiffness = np.array([10.0, 20.0])
-    np.testing.assert_allclose(contact().augmentation_of(local_stiffness, 0.5), [5, 10])
+    softest_stiffness = np.array([10.0, 20.0])
+    np.testing.assert_allclose(contact().augmentation_of(softest_stiffness, 0.5), [5, 10])
     given = contact(augmentation="7 MPa/mm")
-    assert given.augmentation_of(local_stiffness, 0.5) == 7.0
+    assert given.augmentation_of(softest_stiffness, 0.5) == 7.0
 
 
 @pytest.mark.parametrize(

@@ -26,9 +26,9 @@ EYE = np.eye(3)
 
 def coulomb(inputs: Inputs) -> Outputs:
     """Coulomb's law of points with the normal z, in numpy."""
-    F, r, μ = inputs["force"], inputs["r"][:, None], inputs["μ"]
-    S = F + r * (inputs["jump"] + inputs["gap"])
-    T = (F + r * (inputs["jump"] - inputs["old"])) * [1.0, 1.0, 0.0]
+    F, r, μ = inputs["multiplier"], inputs["r"][:, None], inputs["μ"]
+    S = F + r * (inputs["jump"] + inputs["initial_gap"])
+    T = (F + r * (inputs["jump"] - inputs["jump_old"])) * [1.0, 1.0, 0.0]
     pressure, size = np.maximum(-S[:, 2], 0), np.linalg.norm(T, axis=1)
     sticks = size <= μ * pressure
     ratio = np.where(sticks, 1.0, μ * pressure / np.where(sticks, 1.0, size))
@@ -62,18 +62,19 @@ def contact_at(
     n = len(jump)
     none = np.zeros((n, 3))
     inputs = {
-        "force": force,
+        "multiplier": force,
         "jump": jump,
-        "old": none,
-        "gap": none,
+        "jump_old": none,
+        "initial_gap": none,
         "r": np.full(n, R),
         "μ": np.full(n, MU),
     }
     normals = np.zeros((n, 3, 3))
     normals[:, 0, 2] = 1.0
-    free = np.tile(EYE if prescribed is None else EYE - prescribed, (n, 1, 1))
+    prescribed_tangents = np.tile(0 * EYE if prescribed is None else prescribed, (n, 1, 1))
+    opened_points = np.full(n, opened, dtype=bool)
     return debonded_contact(
-        coulomb, inputs, cohesion(jump), normals, free, np.full(n, opened, dtype=bool)
+        coulomb, inputs, cohesion(jump), normals, prescribed_tangents, opened_points
     )
 
 
@@ -163,4 +164,4 @@ def response(force: Floats, normals: Floats, faces: int, μ: float) -> PointForc
     laws.begin(
         [Contact(friction_coefficient=μ)], {"μ": np.full(n, μ)}, 1.0, np.tile(EYE, (n, 1, 1))
     )
-    return laws.evaluate(force, none, none, ContactState.at_rest(none, {}), Switches.off(n))
+    return laws.evaluate(force, none, none, ContactState.at_rest(len(none), {}), Switches.off(n))

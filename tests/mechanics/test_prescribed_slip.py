@@ -21,9 +21,9 @@ class Coulomb:
     μ: Floats | float
 
     def __call__(self, inputs: Inputs) -> Outputs:
-        F, r = inputs["force"], inputs["r"][:, None]
-        S = F + r * (inputs["jump"] + inputs["gap"])
-        T = F + r * (inputs["jump"] - inputs["old"])
+        F, r = inputs["multiplier"], inputs["r"][:, None]
+        S = F + r * (inputs["jump"] + inputs["initial_gap"])
+        T = F + r * (inputs["jump"] - inputs["jump_old"])
         T = T * [1.0, 1.0, 0.0]
         pressure, size = np.maximum(-S[:, 2], 0), np.linalg.norm(T, axis=1)
         limit = self.μ * pressure
@@ -44,7 +44,7 @@ class Coulomb:
 def inputs_of(force: Floats, jump: Floats, r: Floats) -> dict[str, Floats]:
     """Inputs of a law for a first step from rest."""
     none = np.zeros_like(force)
-    return {"force": force, "jump": jump, "old": none, "gap": none, "r": r}
+    return {"multiplier": force, "jump": jump, "jump_old": none, "initial_gap": none, "r": r}
 
 
 def tensors(matrix: Floats, n: int) -> Floats:
@@ -126,13 +126,13 @@ def test_prescribed_slip_calls_the_law_once_without_prescribed_directions() -> N
 
     def law(inputs: Inputs) -> Outputs:
         calls.append(inputs)
-        return {"force": inputs["force"]}
+        return {"force": inputs["multiplier"]}
 
     inputs = inputs_of(np.ones((2, 3)), np.ones((2, 3)), np.ones(2))
     none = np.zeros((2, 3, 3))
     out = respond(law, inputs, none, tensors(np.eye(3), 2), np.ones((2, 3)))
     assert calls == [inputs]
-    assert out == {"force": inputs["force"]}
+    assert out == {"force": inputs["multiplier"]}
 
 
 def test_prescribed_slip_leaves_a_traction_that_depends_on_the_jump() -> None:
@@ -157,7 +157,7 @@ def test_prescribed_slip_below_rounding_is_rest() -> None:
     old[1, 0] -= 0.5
     old[2:] = 0.0
     force = np.array([[0.0, 0.0, -1.0]] * 4)
-    inputs = inputs_of(force, jump, np.ones(4)) | {"old": old}
+    inputs = inputs_of(force, jump, np.ones(4)) | {"jump_old": old}
     slip = PrescribedSlip.of(inputs, tensors(ALONG_X, 4), np.array([[3.0, 4.0, 5.0]] * 4))
     assert slip.is_sliding.tolist() == [False, True, False, True]
     np.testing.assert_allclose(slip.direction[[1, 3]], [[1, 0, 0]] * 2)

@@ -36,7 +36,7 @@ def forces(switches: Switches) -> PointForces:
     laws = PointLaws(MPI.COMM_SELF, points, Timing())
     stiffness = np.tile(R * np.eye(3), (n, 1, 1))
     laws.begin([Contact(friction_coefficient=MU)], {"μ": np.full(n, MU)}, 1.0, stiffness)
-    return laws.evaluate(FORCE, none, none, ContactState.at_rest(none, {}), switches)
+    return laws.evaluate(FORCE, none, none, ContactState.at_rest(len(none), {}), switches)
 
 
 def rows(*values: list[float]) -> Floats:

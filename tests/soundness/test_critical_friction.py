@@ -169,7 +169,7 @@ def test_critical_friction_uses_the_jump_block() -> None:
     j = problem.contact
     u, q = solver.u_and_q(solver.x.duplicate())
     u.set(0)
-    blocks = j.coupling.local_stiffness()
+    blocks = j.coupling.jump_stiffness()
     for k, c in ((0, 0), (3, 2), (len(blocks) - 1, 1)):
         q.set(0)
         q.array[3 * k + c] = 1

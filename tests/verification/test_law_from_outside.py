@@ -240,7 +240,7 @@ class ContactLayer(InterfaceLaw):
     """Shear per elastic shift."""
 
     @property
-    def jump_stiffness(self):
+    def spring_stiffness(self):
         return self.normal, self.tangential
 
     def response(self, at):

@@ -1,4 +1,4 @@
-"""The augmentation r: its default from the local stiffness, and its change for bad values."""
+"""The augmentation r: its default from the softest stiffness, and its change for bad values."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def chosen(text: str, *overrides: str) -> np.ndarray:
     return np.asarray(problem.contact.laws.augmentation)
 
 
-def test_contact_law_augmentation_scales_as_stiffness_per_length() -> None:
+def test_point_laws_augmentation_scales_as_stiffness_per_length() -> None:
     """Ten times the moduli give ten times r; half the size gives twice r."""
     r = chosen(STEM)
     stiffer = chosen(
@@ -49,7 +49,7 @@ def test_contact_law_augmentation_scales_as_stiffness_per_length() -> None:
     np.testing.assert_allclose(np.median(chosen(half)), 2 * np.median(r), rtol=0.1)
 
 
-def test_contact_law_augmentation_follows_softened_cement() -> None:
+def test_point_laws_augmentation_follows_softened_cement() -> None:
     """Softening of the cement lowers its augmentation in proportion to the earlier factor."""
     problem, _ = support.assemble(support.case(STEM))
     j = problem.contact
@@ -71,7 +71,7 @@ def test_contact_law_augmentation_follows_softened_cement() -> None:
 @pytest.mark.parametrize(
     "factor", [pytest.param(1e-4, marks=pytest.mark.slow), 1e-3, 1e-2, 1.0, 1e2, 1e3, 1e4]
 )
-def test_contact_law_augmentation_over_eight_decades_gives_equal_jumps(
+def test_point_laws_augmentation_over_eight_decades_gives_equal_jumps(
     factor: float, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Eight decades of r give the same jumps in one step, without a rejected one.
@@ -98,8 +98,8 @@ def test_contact_law_augmentation_over_eight_decades_gives_equal_jumps(
         assert f"augmentation {outcomes[-1].augmentation:.3g} r" in caplog.text
 
 
-def test_contact_law_augmentation_default_is_found_from_any_given_value() -> None:
-    """The ratio compares the default with the augmentation of the case."""
+def test_point_laws_augmentation_default_is_found_from_any_given_value() -> None:
+    """The factor is the default augmentation divided by that of the case."""
     law = "interfaces.{}={{kind: contact, friction_coefficient: 0.4, augmentation: 1e9 MPa/mm}}"
     penalty = law.replace("contact", "penalty").replace("augmentation", "penalty")
     given, springs = (
@@ -112,10 +112,12 @@ def test_contact_law_augmentation_default_is_found_from_any_given_value() -> Non
         (springs, 1.0),
     ):
         _, solver = support.assemble(support.case(STEM, *overrides))
-        assert solver.system.contact.laws.default_augmentation_ratio() == pytest.approx(multiple)
+        assert solver.system.contact.laws.factor_to_default_augmentation() == pytest.approx(
+            multiple
+        )
 
 
-def test_contact_law_augmentation_does_not_change_a_penalty() -> None:
+def test_point_laws_augmentation_does_not_change_a_penalty() -> None:
     """Softer trial forces give the same jumps, forces, slip and dissipation."""
     law = "interfaces.{}={{kind: penalty, friction_coefficient: 0.4, penalty: {} MPa/mm}}"
     laws = [law.format("stem_cement", 2e3), law.format("cement_bone", 5e3)]
@@ -143,7 +145,7 @@ def test_contact_law_augmentation_does_not_change_a_penalty() -> None:
     assert statuses[0][-1, :, -1].sum() > 0
 
 
-def test_contact_law_augmentation_remedies_restore_the_line_search(tmp_path: Path) -> None:
+def test_point_laws_augmentation_remedies_restore_the_line_search(tmp_path: Path) -> None:
     """Another line search begins with defaults of PETSc, and would keep them."""
 
     def described(solver: Solver) -> str:

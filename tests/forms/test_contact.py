@@ -25,7 +25,7 @@ from app.foundation.arrays import Floats
 from app.laws.contact_laws import Contact
 from app.mechanics.contact_state import ContactState, LocalPoints
 from app.mechanics.point_forces import PointForces
-from app.mechanics.point_laws import PointLaws, gap_vectors
+from app.mechanics.point_laws import PointLaws, initial_gap_vectors
 from app.mechanics.switches import Switches
 from app.numerics.pointwise import Pointwise
 from app.system.timing import Timing
@@ -142,7 +142,7 @@ def law_of(p: Points, friction: bool, prescribed: Floats | None = None) -> Point
 
 def force_of(law: PointLaws, p: Points, F: Floats | None = None) -> PointForces:
     law.augmentation = p.r
-    state = replace(ContactState.at_rest(p.gap, {}), jump=p.old)
+    state = replace(ContactState.at_rest(len(p.gap), {}), jump=p.old)
     none = Switches.off(len(p.μ))
     return law.evaluate(p.F if F is None else F, p.jump, p.gap, state, none)
 
@@ -152,7 +152,7 @@ def dot(a: Floats, b: Floats) -> Floats:
 
 
 @pytest.mark.parametrize("friction", [False, True], ids=["smooth", "friction"])
-def test_contact_law_of_one_face_is_eq_65(friction: bool) -> None:
+def test_contact_of_one_face_is_eq_65(friction: bool) -> None:
     """Π = F·D + r/2 |D|² - dist²(S_n, R_-)/2r - dist²(S_T, C(P_{R-} S_n*))/2r, and its gradients.
 
     D has the whole gap along the normal and the change of the jump across it. The gradients are
@@ -187,7 +187,7 @@ def test_contact_law_of_one_face_is_eq_65(friction: bool) -> None:
 
 
 @KINDS
-def test_contact_law_gradients_are_return_mapping_and_jump(faces: int, friction: bool) -> None:
+def test_contact_gradients_are_return_mapping_and_jump(faces: int, friction: bool) -> None:
     """For any number of faces ∂Π/∂D = P(S) and ∂Π/∂F = (P(S) - F)/r."""
     p = sample(300, faces, seed=2)
     by_D, by_F = derived(p, friction, "D", "F")
@@ -198,7 +198,7 @@ def test_contact_law_gradients_are_return_mapping_and_jump(faces: int, friction:
 
 
 @pytest.mark.parametrize("faces", [1, 2, 3])
-def test_contact_law_without_friction_projects_on_cone_of_normals(faces: int) -> None:
+def test_contact_without_friction_projects_on_cone_of_normals(faces: int) -> None:
     """P(S) is the point nearest to S of the cone spanned by -n_k, and 2 r Π = |P(S)|² - |F|²."""
     p = sample(400, faces, seed=3)
     # Without friction no history: the whole gap counts in all directions.
@@ -214,7 +214,7 @@ def test_contact_law_without_friction_projects_on_cone_of_normals(faces: int) ->
 
 
 @KINDS
-def test_contact_law_generalized_jacobian(faces: int, friction: bool) -> None:
+def test_contact_generalized_jacobian(faces: int, friction: bool) -> None:
     """Taylor's formula P(S + h δ) = P(S) + h P' δ + O(h²) holds if no state changes."""
     p = sample(600, faces, seed=4)
     law = law_of(p, friction)
@@ -318,7 +318,7 @@ def within_the_friction_cones(force: Floats, normals: Floats, μ: float) -> bool
 
 
 @KINDS
-def test_contact_law_satisfies_signorini_and_coulomb(faces: int, friction: bool) -> None:
+def test_contact_satisfies_signorini_and_coulomb(faces: int, friction: bool) -> None:
     """For any S the pair F = P(S), D = (S - F)/r satisfies all conditions on all faces.
 
     On an edge there may be no such force while friction acts across the directions that the
@@ -351,7 +351,7 @@ def test_contact_law_satisfies_signorini_and_coulomb(faces: int, friction: bool)
 EDGE = sample(1, 2, seed=7)
 
 
-def test_contact_law_along_a_prescribed_edge() -> None:
+def test_contact_along_a_prescribed_edge() -> None:
     """The force along an edge of two faces is the one that the law without supports returns.
 
     Where the set of touching faces changes, that force can jump, and no value may fit.
@@ -391,7 +391,7 @@ def edge_law() -> PointLaws:
     st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=3),
     st.floats(0, 2),
 )
-def test_contact_law_at_edge_points_for_any_force(
+def test_contact_at_edge_points_for_any_force(
     F: list[float], slip: list[float], gap: float
 ) -> None:
     """The edge touched on one face and was open on the other. Any force acts on it."""
@@ -407,13 +407,13 @@ def test_contact_law_at_edge_points_for_any_force(
         assert value[0] < 1e-8, name
 
 
-def test_contact_law_gap_vectors_open_every_face() -> None:
+def test_contact_initial_gap_vectors_open_every_face() -> None:
     p = sample(50, 3, seed=8)
     for faces in (0, 1, 2, 3):
         normals = np.zeros((50, 3, 3))
         normals[:, :faces] = p.normals[:, :faces]
         gap = np.linspace(-1, 1, 50)
-        g = gap_vectors(normals, gap)
+        g = initial_gap_vectors(normals, gap)
         opened = np.einsum("nki,ni->nk", normals[:, :faces], g)
         assert np.abs(opened - gap[:, None]).max(initial=0) < 1e-12
         assert faces or not g.any()
