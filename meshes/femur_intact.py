@@ -29,7 +29,7 @@ from meshes.data import MeshData, MeshKeys
 from meshes.femur import assembled
 from meshes.geometry import IntactHipKeys
 from meshes.layered_surfaces import LEAST_MANTLE, MANTLE_BELOW_PLUG, LayeredSurfaces
-from meshes.layers import DIGITS, Lines, Nodes
+from meshes.layers import DIGITS_OF_NODES, Lines, Nodes
 from meshes.reference_body import ReferenceBody, Segment
 
 REGIONS = ("cortical_bone", "cancellous_bone")
@@ -160,7 +160,7 @@ class Intact(LayeredSurfaces):
         radius = self._radius - CORTEX_THICKNESS[1] * (1 - outward)
         offsets[in_shell] *= (radius / np.sqrt((offsets**2).sum(axis=1)))[in_shell, None]
         x, rho = nodes.x.copy(), nodes.rho.copy()
-        x[in_head] = np.round(self._centre + offsets, DIGITS)
+        x[in_head] = np.round(self._centre + offsets, DIGITS_OF_NODES)
         rho[in_head] = np.where(in_shell, -3.0, 0.0)
         # The rim of the lid is that of the shell.
         stations = number.reshape(-1, column_count)

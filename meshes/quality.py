@@ -20,7 +20,7 @@ FIRST_STEP = 0.25  # of a node's longest edge: the first step that it is moved b
 LAST_STEP = 1e-3  # of that edge: the last
 GAIN = 1e-4  # SICN that a step has to gain: less may be rounding
 HALVINGS = 7  # halvings of a bend; what is still bad then is made straight
-ROUNDING = 1e-9  # of the size, by which middle nodes of straight edges may be off
+ROUNDING_OF_MIDDLE_NODES = 1e-9  # of the size, by which middle nodes of straight edges may be off
 
 # Directions to the faces, edges and corners of a cube (26, 3).
 _AROUND = np.array([way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)])
@@ -139,7 +139,7 @@ def straightened(points: Floats, cells: Ints) -> Floats:
 def bent(points: Floats, cells: Ints) -> bool:
     """Return True if any edge of quadratic cells is curved by more than rounding."""
     deviation = np.abs(straightened(points, cells) - points)[cells].max()
-    return bool(deviation > ROUNDING * np.ptp(points, axis=0).max())
+    return bool(deviation > ROUNDING_OF_MIDDLE_NODES * np.ptp(points, axis=0).max())
 
 
 def untangle(points: Floats, cells: Ints, spared: float = 0.0) -> Floats:

@@ -19,7 +19,7 @@ from app.foundation.arrays import Bools, Floats, Ints
 from meshes import reference_body
 from meshes.data import EDGES, cell_volumes, faces_of, match_faces
 from meshes.layered_surfaces import LayeredSurfaces
-from meshes.layers import DIGITS, Nodes
+from meshes.layers import DIGITS_OF_NODES, Nodes
 from meshes.quality import check, relaxed_nodes, sicn, untangle
 from meshes.reference_body import ReferenceBody
 
@@ -88,7 +88,7 @@ class Swept:
             "steps_along": sum(segment.steps for segment in surfaces.segments),
             "cells_through": list(surfaces.through),
             "least_thickness_mm": float(floors.min()) if len(floors) else 0.0,
-            "moved_nodes": float((moved_by > 10.0**-DIGITS).mean()),
+            "moved_nodes": float((moved_by > 10.0**-DIGITS_OF_NODES).mean()),
             "moved_max_mm": float(moved_by.max(initial=0.0)),
         }
 
@@ -164,7 +164,7 @@ def _split(surfaces: LayeredSurfaces, body: ReferenceBody, number: Ints) -> tupl
     edge = np.concatenate(
         [np.arange(lines) // len(body.rho) * len(body.rho), np.arange(lines, column_count)]
     )
-    x, y = np.round(body.section[edge].T, DIGITS)
+    x, y = np.round(body.section[edge].T, DIGITS_OF_NODES)
     round_ = -np.sign(x) * np.abs(y)
     ranks = [
         np.argsort(np.lexsort((np.arange(column_count), y, side * round_, side * x)))
@@ -292,7 +292,7 @@ def _grid(surfaces: LayeredSurfaces, body: ReferenceBody) -> tuple[Nodes, Ints]:
     nodes = _place(surfaces, nodes)
     x = nodes.x.reshape(levels, column_count, 3)
     x[:, around * per_line :] = np.round(
-        body.weights @ x[:, : around * per_line : per_line], DIGITS
+        body.weights @ x[:, : around * per_line : per_line], DIGITS_OF_NODES
     )
     number = np.arange(levels * column_count)
     number[~in_core] += (
@@ -323,7 +323,7 @@ def _place(surfaces: LayeredSurfaces, nodes: Nodes) -> Nodes:
     x, error = nodes.x.copy(), nodes.error.copy()
     x[on_line] = start + fraction[:, None] * (end - start)
     error[on_line] = np.where(merged, -gap, thickness - gap)
-    return replace(nodes, x=np.round(x, DIGITS), error=error)
+    return replace(nodes, x=np.round(x, DIGITS_OF_NODES), error=error)
 
 
 def _floor(surfaces: LayeredSurfaces, bone: Floats) -> Floats:
@@ -361,7 +361,7 @@ def _with_moved_core_nodes(swept_mesh: Swept) -> Swept:
     is_free = (nodes.rho == 0) & (lowest_region == highest_region)
     is_free[swept_mesh.facets[0]] = False
     return replace(
-        swept_mesh, nodes=replace(nodes, x=relaxed_nodes(nodes.x, cells, is_free, DIGITS))
+        swept_mesh, nodes=replace(nodes, x=relaxed_nodes(nodes.x, cells, is_free, DIGITS_OF_NODES))
     )
 
 

@@ -30,7 +30,7 @@ Sides = tuple[tuple[str, ...], tuple[str, ...]]
 
 # Constants of meshes and their defaults. The hash of a mesh in the cache does not contain them:
 # after a change of one, raise `MESHER_VERSION` in `meshes.cache`.
-LEAST = 1e-8  # size of a cell (mm), so that its powers do not underflow
+LEAST_CELL_SIZE = 1e-8  # size of a cell (mm), so that its powers do not underflow
 COUNTLESS = 1e40  # bound of the number of cells
 # Distance of lines around on a stem, over the size, in cement: pressure has ridges 1.5 to 3 mm wide
 # there. Without cement it is smoother: with 36 lines at 6 mm, and with 28 at 8 mm, motions are
@@ -541,8 +541,11 @@ class MeshOptions(Section):
             fail(
                 "curved cells need second order; set `curved: false` or `order: 2`", at=("curved",)
             )
-        if 0.0 < self.size < LEAST:
-            fail(f"{self.size:g} mm is too small; expected at least {LEAST:g} mm", at=("size",))
+        if 0.0 < self.size < LEAST_CELL_SIZE:
+            fail(
+                f"{self.size:g} mm is too small; expected at least {LEAST_CELL_SIZE:g} mm",
+                at=("size",),
+            )
         if self.far < self.size:
             fail(f"{self.far:g} mm is smaller than size, {self.size:g} mm", at=("far_size",))
         return self

@@ -25,13 +25,13 @@ APART = 0.995
 # Volume of dead bone below which no bone counts as dead [mm3].
 NO_BONE = 0.5
 # Large numbers of a page.
-MOST = 3
+MOST_LARGE_NUMBERS = 3
 # Words on the force by the sector of the body that is modelled.
 SECTORS = {"half": " on the half that is modelled", "quarter": " on the quarter that is modelled"}
 
 
 def large_numbers(summary: Summary) -> list[LargeNumber]:
-    """Return the most important numbers of ``summary.json``, at most `MOST`.
+    """Return the most important numbers of ``summary.json``, at most `MOST_LARGE_NUMBERS`.
 
     The first numbers of the groups contact, stem, heat and cure are chosen first, then their second
     numbers, and so on. A case without these groups has the stress of its regions.
@@ -43,9 +43,9 @@ def large_numbers(summary: Summary) -> list[LargeNumber]:
         list(_cure(summary)),
     ]
     by_rank = [n for n in chain.from_iterable(zip_longest(*numbers_by_group)) if n is not None]
-    chosen_numbers = by_rank[:MOST]
+    chosen_numbers = by_rank[:MOST_LARGE_NUMBERS]
     numbers = [n for n in chain.from_iterable(numbers_by_group) if n in chosen_numbers]
-    return numbers or list(_stresses(summary))[:MOST]
+    return numbers or list(_stresses(summary))[:MOST_LARGE_NUMBERS]
 
 
 def loads(case: SweptCase, summary: Summary) -> str:
@@ -227,7 +227,10 @@ def _stresses(summary: Summary) -> Iterator[LargeNumber]:
 
 
 def ranges_over_runs(cases: Sequence[SweptCase], names: Sequence[str]) -> list[LargeNumber]:
-    """Return the ranges of slip, gap and temperature over several runs, at most `MOST`."""
+    """Return the ranges of slip, gap and temperature over several runs.
+
+    There are at most `MOST_LARGE_NUMBERS`.
+    """
     numbers = []
     for name, extremes in ranges(cases, names):
         title, unit = label_and_unit(name)
@@ -239,7 +242,7 @@ def ranges_over_runs(cases: Sequence[SweptCase], names: Sequence[str]) -> list[L
         numbers.append(
             LargeNumber(f"{lowest} to {highest}", unit, spelled_out(title), detail=detail)
         )
-    return numbers[:MOST]
+    return numbers[:MOST_LARGE_NUMBERS]
 
 
 def _zero_if_small(value: float) -> float:

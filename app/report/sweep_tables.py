@@ -22,7 +22,7 @@ MOST_LEVELS = 8
 # Texts of cells without content.
 EMPTY = {"-", ""}
 # Fewest cases for rank correlations.
-FEWEST = 6
+FEWEST_CASES = 6
 
 
 def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
@@ -118,7 +118,7 @@ def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[tuple[str, 
                 inputs = [c.overrides.get(key) for c in part_cases]
             if len(set(map(str, inputs))) > 1:
                 inputs_of_key[key] = inputs
-        if len(inputs_of_key) < 2 or len(part_cases) < FEWEST:
+        if len(inputs_of_key) < 2 or len(part_cases) < FEWEST_CASES:
             continue
         for name in headlines(part_cases)[:MOST_NUMBERS]:
             numbers = [c.number(name) for c in part_cases]

@@ -12,7 +12,7 @@ from app.case.summary import Numbers, StageCycles
 AREAS = ("area_inducible_over_40um", "area_inducible_over_150um")
 OF_CYCLES = {"motion_p99", "micromotion_p99", "inducible_p99", "dissipation", *AREAS}
 # Dissipation per cycle, relative to that up to the first peak, below which it vanishes.
-NOTHING = 0.02
+VANISHING_DISSIPATION = 0.02
 # Relative change from the first to the last cycle below which the dissipation counts as constant.
 SAME = 0.1
 
@@ -102,7 +102,7 @@ def trend(first_dissipation: float, per_cycle: list[float]) -> str:
         first_dissipation: Dissipation up to the first peak [N mm].
         per_cycle: Dissipation of each cycle after it [N mm].
     """
-    if abs(per_cycle[-1]) <= NOTHING * first_dissipation:
+    if abs(per_cycle[-1]) <= VANISHING_DISSIPATION * first_dissipation:
         return "vanishes"
     if abs(per_cycle[-1] - per_cycle[0]) <= SAME * per_cycle[0]:
         return "stays"

@@ -20,12 +20,12 @@ from app.results.percentiles import percentile
 from forms import elasticity
 
 # Components of a symmetric tensor, in the order of `elasticity.symmetric`.
-COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+UFL_COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 # Cache of the stiffness of laws: UFL takes 20 ms, and companions and variations share it.
 _MODULI: dict[tuple[type[Elastic], str], Floats] = {}
 # Degree of a quadrature with positive weights for integrals of powers of stress. (The rule of
 # degree 7 has a negative weight.)
-FINE = 9
+FINE_DEGREE = 9
 
 
 class Stresses:
@@ -40,7 +40,7 @@ class Stresses:
         around_z: True if the z axis is the axis of a stem, so that hoop stress is defined.
         depth: Function that returns the distance of points (n, 3) below the neck cut [mm]; the
             stem above it is the neck. None without a neck cut.
-        fine: Regions with the quadrature of degree `FINE` instead of that of the energy.
+        fine: Regions with the quadrature of degree `FINE_DEGREE` instead of that of the energy.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class Stresses:
         # Percentiles need the distribution within a cell, which is coarse beside a boundary layer.
         usual_degree = 4 * (problem.scene.order - 1)
         quadrature = basix.make_quadrature(
-            basix.CellType.tetrahedron, FINE if fine else usual_degree
+            basix.CellType.tetrahedron, FINE_DEGREE if fine else usual_degree
         )
         self._points, weights = (np.asarray(a) for a in quadrature)
         elastic = [
@@ -276,7 +276,7 @@ def _moduli_by_energy(e: Elastic) -> Floats:
         )
     # Each of the last three stands for two entries of the tensors.
     component_tensors = np.zeros((6, 3, 3))
-    for k, (i, j) in enumerate(COMPONENTS):
+    for k, (i, j) in enumerate(UFL_COMPONENTS):
         component_tensors[k, i, j] = component_tensors[k, j, i] = 1.0 if i == j else 0.5
     matrix = component_tensors.reshape(6, 9)
     return np.asarray(matrix.T @ work @ matrix)

@@ -54,7 +54,7 @@ log = logging.getLogger("mantle")
 # iterations, not 25.
 LARGE = 20_000
 # Mesh size of the coarse model over that of the run.
-COARSER = 2.0
+COARSENING_OF_START = 2.0
 # Tolerance of the coarse model, relative to the forces: far below its discretization error.
 TOLERANCE = 1e-4
 
@@ -432,8 +432,8 @@ def coarse_case(case: Case, unknowns: int) -> Case | None:
     if unknowns < LARGE:
         return None
     mesh, solver = case.mesh, case.solver
-    if COARSER * mesh.size <= case.geometry.coarsest_size:
-        mesh = mesh.coarser(COARSER)
+    if COARSENING_OF_START * mesh.size <= case.geometry.coarsest_size:
+        mesh = mesh.coarser(COARSENING_OF_START)
     elif mesh.order > 1:
         mesh = mesh.model_copy(update={"order": 1})
     else:

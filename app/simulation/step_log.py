@@ -27,7 +27,7 @@ class StepLog:
 
     def begin_stage(self, stage: Stage) -> None:
         """Begin a stage: a header comes before its first line."""
-        columns = closing_lines.HEAT if stage.takes_time else closing_lines.STEP
+        columns = closing_lines.HEAT_COLUMNS if stage.takes_time else closing_lines.STEP
         self._header = closing_lines.aligned_line(columns, columns)
 
     def log_step(

@@ -14,7 +14,7 @@ from app.scene.bodies import nodes_on
 from app.stepping.heat_state import HeatState, HeatStep
 
 # Heat below this multiple of its rounding error in a step counts as zero.
-NOTHING = 1e7
+LEAST_HEAT_OVER_ROUNDING = 1e7
 
 
 class ThermalModel:
@@ -90,7 +90,7 @@ class ThermalModel:
             return
         moved_heat = self.record.moved_heat(self._capacities)
         # The same holds before the first heat, for example of friction.
-        smallest_heat = NOTHING * rounding * accepted.dt
+        smallest_heat = LEAST_HEAT_OVER_ROUNDING * rounding * accepted.dt
         self.balance.update(
             accepted.dt, accepted.heats, accepted.flows, heat, moved_heat, smallest_heat
         )

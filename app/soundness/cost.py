@@ -34,14 +34,15 @@ LATER_KRYLOV = 0.45
 # Time of a Krylov solve without contact over that with contact, which takes several Newton steps.
 LINEAR = 0.25
 # Operations per second of sparse factors.
-FACTORS = 48e9
+SPARSE_FACTOR_SPEED = 48e9
 # Operations per second of dense factors in single precision.
-SINGLE = 86e9
+DENSE_FACTOR_SPEED = 86e9
 # Bytes per second of back-substitutions.
-BYTES = 10e9
-# Newton iterations of the first solve, from rest, and of a later one.
-FROM_REST = 12
-ITERATIONS = 5.5
+SUBSTITUTION_SPEED = 10e9
+# Newton iterations of the first solve, from rest.
+FIRST_ITERATIONS = 12
+# Newton iterations of a later solve.
+LATER_ITERATIONS = 5.5
 # Cycles after which friction has shaken down in hips. A state is then predicted exactly from the
 # cycles before, and its solve takes one iteration.
 SHAKEDOWN_CYCLES = 50
@@ -50,7 +51,7 @@ CONDENSED_ASSEMBLY = 1.5e-5
 # Seconds of a time step of heat.
 TIME_STEP = 0.05
 # Seconds of a time step per temperature.
-HEAT = 3e-5
+TIME_STEP_PER_TEMPERATURE = 3e-5
 # Time steps of a stage with heat.
 HEAT_STEPS = 35
 # Time steps of a stage in which cement sets.
@@ -199,7 +200,9 @@ def _solution(case: Case, size: _Size, runs: int = 1) -> float:
         if condensed
         else krylov_seconds(choice)
     )
-    heating = time_steps * (TIME_STEP + HEAT * (size.temperatures + size.steps))
+    heating = time_steps * (
+        TIME_STEP + TIME_STEP_PER_TEMPERATURE * (size.temperatures + size.steps)
+    )
     errors = WITH_HEAT_ERRORS if time_steps else WITH_ERRORS
     return (loading + heating) * (errors if case.output.error else 1.0)
 
@@ -215,11 +218,11 @@ def condensed_seconds(choice: SolverChoice, repeated: float = 0.0) -> float:
     n, m = choice.size, choice.jumps
     operations = 15 * n**2.05 + 1.1 * m**2.91 - m**3 / 3
     entries = 6 * n**1.44 + 1.1 * m**1.95
-    setup = operations / FACTORS + CONDENSED_ASSEMBLY * n
-    dense = (2 / 3) * (0.64 * m) ** 3 / SINGLE
-    iteration = dense + (32 * m**2 + 8 * entries) / BYTES
+    setup = operations / SPARSE_FACTOR_SPEED + CONDENSED_ASSEMBLY * n
+    dense = (2 / 3) * (0.64 * m) ** 3 / DENSE_FACTOR_SPEED
+    iteration = dense + (32 * m**2 + 8 * entries) / SUBSTITUTION_SPEED
     setup *= choice.solves if choice.changes_stiffness else 1
-    iterations = FROM_REST + ITERATIONS * (choice.solves - 1 - repeated) + repeated
+    iterations = FIRST_ITERATIONS + LATER_ITERATIONS * (choice.solves - 1 - repeated) + repeated
     return setup + iterations * iteration
 
 

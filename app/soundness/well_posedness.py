@@ -21,7 +21,7 @@ from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
 from app.foundation.verdict import Severity, Verdict, note
 from app.heat.nodes import outside_text
-from app.laws.values import ROUNDING
+from app.laws.values import ROUNDING_OF_HEIGHTS
 from app.scene.scene import build_scene
 from app.soundness import paths_on_mesh
 from app.soundness.bodies_on_mesh import (
@@ -114,12 +114,14 @@ def _empty_zones(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
             continue
         heights = case.geometry.height_on_stem(parts.x[parts.on_interface(name)])
         lowest, highest = float(heights.min()), float(heights.max())
-        least_length = 0.0 if highest - lowest < ROUNDING else ROUNDING
+        least_length = 0.0 if highest - lowest < ROUNDING_OF_HEIGHTS else ROUNDING_OF_HEIGHTS
         for zone, (low, high) in law.zone_heights.items():
-            covered_length = min(high, highest + ROUNDING) - max(low, lowest - ROUNDING)
-            if covered_length < least_length + ROUNDING:
+            covered_length = min(high, highest + ROUNDING_OF_HEIGHTS) - max(
+                low, lowest - ROUNDING_OF_HEIGHTS
+            )
+            if covered_length < least_length + ROUNDING_OF_HEIGHTS:
                 place = f"heights from {lowest:.4g} to {highest:.4g} mm"
-                if highest - lowest < ROUNDING:
+                if highest - lowest < ROUNDING_OF_HEIGHTS:
                     place = f"the height {lowest:.4g} mm"
                 yield Verdict(
                     f"covers nothing of the interface, which is at {place}",

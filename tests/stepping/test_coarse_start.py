@@ -63,7 +63,7 @@ def test_coarse_start_changes_iterations_but_not_results(
     not be coarser.
     """
     if AT_FIRST[0] in overrides:
-        monkeypatch.setattr(models, "COARSER", 1e3)
+        monkeypatch.setattr(models, "COARSENING_OF_START", 1e3)
     cold, first = go(*overrides)
     always(monkeypatch)
     warm, then = go(*overrides)

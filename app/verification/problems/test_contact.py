@@ -120,7 +120,7 @@ def test_klarbring(problem: KnownProblem) -> None:
 
 # A bar on a bed with friction
 
-BAR = "verification/foundation_bar.yaml"
+FOUNDATION_BAR = "verification/foundation_bar.yaml"
 BED = "friction balances the force of the bar: F^2 / (2 EA f)"
 STIFFNESS = 1.1e6  # N, of its section
 PRESS = 2.0  # MPa on the bar, 10 mm wide
@@ -143,7 +143,7 @@ def test_foundation_bar(problem: KnownProblem, number: str) -> None:
         "dissipation": "work lost in a cycle of its load [N mm], relative",
     }
     problem.expects(quantities[number], tolerance=0.02, source=BED)
-    solved = problem.solve(BAR)
+    solved = problem.solve(FOUNDATION_BAR)
     law = exact.FoundationBar(force=500.0, friction=6.0, stiffness=STIFFNESS)
     if number == "end":
         problem.compare(relative(end_of_bar(solved, 2.0), law.end))
@@ -166,7 +166,7 @@ def test_friction_bar_on_a_bed(problem: KnownProblem, μ: float) -> None:
         "end displacement, pulled and let go [mm], relative", tolerance=MESH, source=BED
     )
     solved = problem.solve(
-        BAR,
+        FOUNDATION_BAR,
         f"interfaces.base_bar.friction_coefficient={μ}",
         f"loads.pull.force=[{1200 * μ} N, 0 N, 0 N]",
         "geometry.blocks.1.size=[110 mm, 10 mm, 0.1 mm]",
@@ -188,7 +188,7 @@ def test_friction_bar_on_a_bed(problem: KnownProblem, μ: float) -> None:
 def test_friction_bar_pulled_off(problem: KnownProblem, μ: float) -> None:
     problem.expects_refusal("a pull beyond what friction can hold", Reason.FLOATING_BODY)
     problem.solve(
-        BAR,
+        FOUNDATION_BAR,
         f"interfaces.base_bar.friction_coefficient={μ}",
         f"loads.pull.force=[{1.2 * 2200 * μ or 1} N, 0 N, 0 N]",
     )
@@ -217,7 +217,7 @@ def test_cycles_bar_on_a_bed(problem: KnownProblem, count: int) -> None:
     )
     stages, history = cycles_of(count, "0")
     solved = problem.solve(
-        BAR,
+        FOUNDATION_BAR,
         f"stages=[{{name: press}}, {stages}]",
         f"loads.press.history=[1, {', '.join(['1'] * 2 * (count + 1))}]",
         f"loads.pull.history=[0, {history}]",
@@ -275,7 +275,7 @@ def test_friction_incline(problem: KnownProblem, μ: float) -> None:
 
 # A stem in its cement and bone
 
-STEM = "stress/stem.yaml"
+STRESS_STEM = "stress/stem.yaml"
 CRITICAL = 1.4  # friction beyond which there need not be one answer that steps lead to
 
 
@@ -299,7 +299,7 @@ def test_friction_stem(problem: KnownProblem, μ: float) -> None:
     )
     sides = ("stem_cement", "cement_bone")
     laws = (f"interfaces.{side}.friction_coefficient={μ}" for side in sides)
-    problem.compare(law_violation(problem.solve(STEM, *laws)))
+    problem.compare(law_violation(problem.solve(STRESS_STEM, *laws)))
 
 
 # A taper of 5 degrees, held by friction from 0.0875 on
