@@ -55,11 +55,11 @@ def step_line(
     return aligned_line(STEP, (step.number, f"{step.time:.4g}", *effort, *states, *times))
 
 
-def heat_line(number: int, accepted: HeatStep, row: dict[str, float], wall: float) -> str:
+def heat_line(number: int, heat_step: HeatStep, row: dict[str, float], wall: float) -> str:
     """Return the line of an accepted heat step; ``wall`` is the time since the run began [s]."""
     hottest = max(v for k, v in row.items() if k.endswith("temperature_max [degC]"))
-    outcome = accepted.outcome
-    times = (f"{accepted.seconds:.4g} s", f"{accepted.dt:.3g} s")
+    outcome = heat_step.outcome
+    times = (f"{heat_step.seconds:.4g} s", f"{heat_step.dt:.3g} s")
     state = (f"{hottest:.1f} degC", f"{row['heat balance [-]']:.1e}", f"{wall:.1f} s")
     return aligned_line(
         HEAT_COLUMNS, (number, *times, outcome.iterations, outcome.linear_iterations, *state)

@@ -173,7 +173,7 @@ class Model:
             heating, mechanics = self.analysis.heating, self.mechanics
             if mechanics:
                 self.probes = ProbedMechanics(case, mechanics.problem)
-                heat = heating.step if heating else None
+                heat = heating.system if heating else None
                 self.records = records(
                     case,
                     RecordedModel(mechanics.problem, mechanics.stresses, mechanics.zones, heat),
@@ -288,10 +288,10 @@ class Model:
             on_stage = record.before_stage(on_stage)
         t = self.thermal
 
-        def on_accepted(step: LoadStep, accepted: HeatStep) -> None:
+        def on_accepted(step: LoadStep, heat_step: HeatStep) -> None:
             if t:
-                t.update(accepted)
-            on_heat(step, accepted)
+                t.update(heat_step)
+            on_heat(step, heat_step)
 
         mechanics, stages = self.mechanics, self.scene.stages
         if mechanics:
