@@ -37,7 +37,7 @@ HERTZ = {
     "ball": exact.hertz_point(100.0, 10.0, exact.contact_modulus(CEMENT)),
 }
 SECTION = {"line": JOHNSON.format("4.2c"), "ball": JOHNSON.format("4.2a")}
-# Coordinates in which the contact is wide.
+# Number of coordinates in the contact plane.
 WIDE = {"line": 1, "ball": 2}
 
 
@@ -144,13 +144,13 @@ def test_foundation_bar(problem: KnownProblem, number: str) -> None:
     }
     problem.expects(quantities[number], tolerance=0.02, source=BED)
     solved = problem.solve(FOUNDATION_BAR)
-    law = exact.FoundationBar(force=500.0, friction=6.0, stiffness=STIFFNESS)
+    bar = exact.FoundationBar(force=500.0, friction=6.0, stiffness=STIFFNESS)
     if number == "end":
-        problem.compare(relative(end_of_bar(solved, 2.0), law.end))
+        problem.compare(relative(end_of_bar(solved, 2.0), bar.end))
     elif number == "residual":
-        problem.compare(relative(end_of_bar(solved, 3.0), law.residual))
+        problem.compare(relative(end_of_bar(solved, 3.0), bar.residual))
     else:
-        problem.compare(relative(float(work_lost(solved, "base_bar", (3.0, 5.0))[0]), law.cycle))
+        problem.compare(relative(float(work_lost(solved, "base_bar", (3.0, 5.0))[0]), bar.cycle))
 
 
 @stress
@@ -172,10 +172,10 @@ def test_friction_bar_on_a_bed(problem: KnownProblem, μ: float) -> None:
         "geometry.blocks.1.size=[110 mm, 10 mm, 0.1 mm]",
         "regions.bar.youngs_modulus=1100 GPa",
     )
-    law = exact.FoundationBar(1200 * μ, 10 * PRESS * μ, STIFFNESS)
+    bar = exact.FoundationBar(1200 * μ, 10 * PRESS * μ, STIFFNESS)
     problem.compare(
-        relative(end_of_bar(solved, 2.0), law.end),
-        relative(end_of_bar(solved, 3.0), law.residual),
+        relative(end_of_bar(solved, 2.0), bar.end),
+        relative(end_of_bar(solved, 3.0), bar.residual),
     )
 
 
@@ -222,18 +222,18 @@ def test_cycles_bar_on_a_bed(problem: KnownProblem, count: int) -> None:
         f"loads.press.history=[1, {', '.join(['1'] * 2 * (count + 1))}]",
         f"loads.pull.history=[0, {history}]",
     )
-    law = exact.FoundationBar(500.0, 6.0, STIFFNESS)
+    bar = exact.FoundationBar(500.0, 6.0, STIFFNESS)
     unloaded = np.arange(count + 1) * 2 + 3.0
     lost_work = work_lost(solved, "base_bar", unloaded)
     end_positions = [end_of_bar(solved, time) for time in unloaded]
-    creep = float(np.abs(np.diff(end_positions)).max()) / law.end
+    drift = float(np.abs(np.diff(end_positions)).max()) / bar.end
     note = (
         f"{count} cycles, {lost_work[0]:.5g} to {lost_work[-1]:.5g} N mm each, exact"
-        f" {law.cycle:.5g}; "
-        f"the end creeps by {creep:.1e} of its stroke in a cycle"
+        f" {bar.cycle:.5g}; "
+        f"the end drifts by {drift:.1e} of its stroke in a cycle"
     )
     problem.compare(
-        Comparison(max(float(np.abs(lost_work / law.cycle - 1).max()), creep), note=note)
+        Comparison(max(float(np.abs(lost_work / bar.cycle - 1).max()), drift), note=note)
     )
 
 
@@ -244,8 +244,8 @@ SLOPE = "balance of forces on a slope: (tan a + mu) / (1 - mu tan a)"
 WEIGHT = 0.01 * 800  # N
 
 
-def push(run: Run, friction: float) -> Comparison:
-    """Horizontal force over weight."""
+def compare_push(run: Run, friction: float) -> Comparison:
+    """Compare the horizontal force over the weight with its exact value."""
     force = run.summary["interfaces"]["slope_block"]["force"][0]
     return relative(abs(force) / WEIGHT, exact.push_up(0.1, friction))
 
@@ -260,7 +260,7 @@ def test_incline(problem: KnownProblem) -> None:
     )
     law = "{kind: penalty, friction_coefficient: 0.3, penalty: 1.0e3 MPa/mm}"
     runs = problem.solve_each(INCLINE, [(), (f"interfaces.slope_block={law}",)])
-    problem.compare(*(push(solved, 0.3) for solved in runs))
+    problem.compare(*(compare_push(solved, 0.3) for solved in runs))
 
 
 @stress
@@ -270,13 +270,13 @@ def test_incline(problem: KnownProblem) -> None:
 def test_friction_incline(problem: KnownProblem, μ: float) -> None:
     problem.expects("force over weight, relative", tolerance=0.005, source=SLOPE)
     solved = problem.solve(INCLINE, f"interfaces.slope_block.friction_coefficient={μ}")
-    problem.compare(push(solved, μ))
+    problem.compare(compare_push(solved, μ))
 
 
 # A stem in its cement and bone
 
 STRESS_STEM = "stress/stem.yaml"
-CRITICAL = 1.4  # friction beyond which there need not be one answer that steps lead to
+CRITICAL = 1.4  # critical friction: above it the solution may not be unique
 
 
 @stress
@@ -328,14 +328,15 @@ def compare_wedge(problem: KnownProblem, friction: float, left: float) -> None:
         for step in (step_at(solved, 1.0), -1)
     )
     into = abs(100 / (pushed * (s + friction * c)) - 1)
-    note = f"{100 * now / pushed:.0f} % of the pressure stays; sliding in off by {into:.1e}"
+    note = f"{100 * now / pushed:.0f} % of the pressure stays; "
+    note += f"error of the force while sliding in {into:.1e}"
     if friction <= s / c:
         error = abs(100 * left / (now * (s - friction * c)) - 1)
-        problem.compare(Comparison(max(into, error), note=f"{note}, sliding out by {error:.1e}"))
+        problem.compare(Comparison(max(into, error), note=f"{note}, while sliding out {error:.1e}"))
     elif now > 0.1 * pushed:
-        problem.compare(Comparison(law_violation(solved).error, note=f"held; {note}"))
+        problem.compare(Comparison(law_violation(solved).error, note=f"held by friction; {note}"))
     else:
-        problem.compare(Comparison(np.inf, note=f"held; {note}"))
+        problem.compare(Comparison(np.inf, note=f"held by friction; {note}"))
 
 
 WEDGE = "forces on a cone: sin a +- mu cos a"
