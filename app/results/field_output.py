@@ -347,7 +347,7 @@ class MechanicalFields:
                     continue
                 σ = _components(self._stresses.evaluate(region))
                 mean[owned] = self._stresses.volume_fractions[region] @ σ
-                at_nodes = extrapolated(σ, self._stresses.points[region], X)
+                at_nodes = extrapolated(σ, self._stresses.points_of_region[region], X)
                 volume = self._stresses.points_and_volumes(region)[1].sum(axis=1)
                 owned_dofs = dofs[owned].ravel()
                 # A column at a time takes a tenth of the time of np.add.at.

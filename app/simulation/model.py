@@ -359,7 +359,9 @@ class Model:
             elastic = mechanics.problem.scene.elastic
             if samples is not None:
                 numbers["interfaces"] = {name: dict(q) for name, q in samples.numbers.items()}
-            numbers["regions"] = {e.region: mechanics.stresses.region(e.region) for e in elastic}
+            numbers["regions"] = {
+                e.region: mechanics.stresses.numbers_of_region(e.region) for e in elastic
+            }
             bonds = mechanics.bonds.numbers()
             if bonds:
                 numbers["bonds"] = bonds
