@@ -17,11 +17,12 @@ import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
 from meshes import reference_body
-from meshes.data import EDGES, cell_volumes, faces_of, match_faces
+from meshes.data import cell_volumes, faces_of, match_faces
 from meshes.layered_surfaces import LayeredSurfaces
 from meshes.layers import DIGITS_OF_NODES, Nodes
 from meshes.quality import check, relaxed_nodes, sicn, untangle
 from meshes.reference_body import ReferenceBody
+from meshes.shape_functions import GMSH_TETRAHEDRON
 
 # Least thickness of a layer, over the distance to the next line, and to the next section: where it
 # would be thinner it has none.
@@ -374,7 +375,7 @@ def _check(swept_mesh: Swept) -> None:
 
 def _curved(swept_mesh: Swept) -> Swept:
     """Give each edge a middle node on the surfaces; cells that bend too far are straightened."""
-    a, b = (swept_mesh.cells[:, k].ravel() for k in np.array(EDGES).T)
+    a, b = (swept_mesh.cells[:, k].ravel() for k in np.array(GMSH_TETRAHEDRON).T)
     n = len(swept_mesh.nodes)
     keys, middle_of_edge = np.unique(np.minimum(a, b) * n + np.maximum(a, b), return_inverse=True)
     middles = _middles(swept_mesh, keys // n, keys % n)

@@ -100,7 +100,7 @@ class Bearings(Record):
         self.bearings = {
             c.name: Bearing(problem, case, i)
             for i, c in enumerate(problem.scene.contacts)
-            if c.between
+            if c.slides_finitely
         }
         self.stage = ""
 

@@ -457,13 +457,13 @@ def _sliding(case: CaseParts) -> Iterable[Fault]:
     moving_parts = [(("motions", n, "region"), m.region) for n, m in _valid(case.motions)]
     for name, law in _valid(case.interfaces):
         if law.finite_sliding:
-            faces = law.sliding_boundaries or case.geometry.faces.get(name)
-            if not faces:
+            boundaries = law.sliding_boundaries or case.geometry.sliding_boundaries.get(name)
+            if not boundaries:
                 message = "its sides share facets of the mesh; mesh the bodies separately, and set "
                 message += "`between` to two of "
                 message += ", ".join(case.geometry.boundary_names)
                 yield Fault(("interfaces", name, "sliding"), message)
-            moving_parts += [(("interfaces", name, "between"), face) for face in faces or ()]
+            moving_parts += [(("interfaces", name, "between"), face) for face in boundaries or ()]
     users = dict[tuple[str, str], str]()
     for path, part in moving_parts:
         user = users.get((path[0], part))

@@ -466,7 +466,7 @@ class OperatedHip(Hip):
             reason = f"the end of the stem is flat above a void of {self.void:g} mm (tip_void)"
             keys["geometry", "stem", "tip_rounding"] = reason
         longest = max(step for _, step, _ in GRADING.values()) * mesh.step_along
-        if mesh.far >= longest:
+        if mesh.far_size_or_default >= longest:
             keys["mesh", "far_size"] = f"no step along a femur is longer than {longest:g} mm"
         return keys
 

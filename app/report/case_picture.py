@@ -229,7 +229,9 @@ def _lines(view: View, case: Case, data: MeshData) -> None:
                     f", {zone_name.replace('_', ' ')} {plain_text(zone.friction_coefficient)}"
                 )
         triangles_of_interface = [data.points[interface_facets(data, name)[0][:, :3]]]
-        triangles_of_interface += [_boundary(data, face) for face in case.faces.get(name, ())]
+        triangles_of_interface += [
+            _boundary(data, face) for face in case.sliding_boundaries.get(name, ())
+        ]
         label = f"{name.replace('_', '-')}: {law_text}"
         style = "-" if law.can_part else "--"
         view.lines(np.concatenate(triangles_of_interface), colour, label, style=style)

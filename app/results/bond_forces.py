@@ -270,7 +270,7 @@ class BondForces:
         Pieces that touch without an interface have an unnamed bond.
         """
         problem = self._problem
-        conforming = [c for c in problem.scene.contacts if not c.between]
+        conforming = [c for c in problem.scene.contacts if not c.slides_finitely]
         pieces, other_pieces = pieces_of(problem.tagged, [*self._bonds, *conforming])
         unnamed = [
             replace(self._bonds[0], name=f"{a}_{b}", master=(a,), slave=(b,))

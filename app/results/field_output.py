@@ -447,7 +447,7 @@ def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, F
         **{"gap": s.opening, "slip": s.slip, "slip_path": s.path, "motion": s.motion},
         **{"pressure": s.pressure, "shear": s.shear},
     }
-    if contact.between:
+    if contact.slides_finitely:
         del fields["motion"], fields["slip"]
     if contact.press_fit:
         fields["micromotion"] = s.micromotion

@@ -45,7 +45,9 @@ def bone_influence(case: Case, model: Model) -> BoneInfluence | None:
         for g in (geometry, *other_bones.values())
     ]
     try:
-        numbers_as_run, *numbers_of_others = [model.relative(each) for each in companions]
+        numbers_as_run, *numbers_of_others = [
+            model.numbers_of_companion(each) for each in companions
+        ]
     except (ConvergenceError, GeometryError) as failure:
         agree(model.tagged.mesh.comm, failure)
         log.warning("assumed bone: its influence is unknown: %s", str(failure).splitlines()[0])

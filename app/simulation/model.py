@@ -245,7 +245,7 @@ class Model:
         sizes = dict(self.thermal.heating.solver.block_sizes) if self.thermal else {}
         return sizes | (self.mechanics.solver.block_sizes if self.mechanics else {})
 
-    def layers(self) -> list[FieldGroup]:
+    def field_groups(self) -> list[FieldGroup]:
         """Groups of fields to be written: mechanics, heat."""
         field_groups: list[FieldGroup] = []
         mechanics = self.mechanics
@@ -410,7 +410,7 @@ class Model:
                 mechanics.problem, mechanics.stresses, samples, mechanics.zones
             )
 
-    def relative(self, case: Case) -> Summary:
+    def numbers_of_companion(self, case: Case) -> Summary:
         """Solve a companion case; return its numbers; collective."""
         other_model = self._other_model(case, Timing("estimating errors"))
         last_trial: TrialState | None = None
@@ -450,7 +450,7 @@ def _stiffness(case: Case) -> tuple[object, ...]:
     stages = [stage.name for stage in case.stages]
     motions = [(m.region, m.boundary, m.about, m.translation) for m in case.motions.values()]
     bodies = case.geometry, case.mesh, case.regions, case.supports
-    return *bodies, motions, case.faces, solver, stages
+    return *bodies, motions, case.sliding_boundaries, solver, stages
 
 
 def _matrices(case: Case) -> tuple[object, ...]:

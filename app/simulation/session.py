@@ -255,7 +255,7 @@ class _CaseRun:
             _unknowns(model.sizes()),
             several(comm.size, "rank"),
         )
-        field_groups = model.layers()
+        field_groups = model.field_groups()
         data = model.parts.data if model.parts else None
         paths = path_tables(case, model.scene, model.tagged, field_groups, data)
         self._writer = Writer(

@@ -43,7 +43,7 @@ class ThermalModel:
             {n: (p.at, p.region) for n, p in case.output.probes.items() if isinstance(p, Probe)},
             {
                 name: (nodes_on(tagged, space, first), nodes_on(tagged, space, second))
-                for name, (first, second) in case.faces.items()
+                for name, (first, second) in case.sliding_boundaries.items()
             },
         )
         self._first_contact = InitialContactTemperature(operators)

@@ -15,7 +15,8 @@ from app.numerics.choice import SolverChoice
 from app.scene.scene import build_scene
 from app.soundness import mesh_notes
 from app.system.layout import count, duration
-from meshes.data import EDGES, interface_nodes
+from meshes.data import interface_nodes
+from meshes.shape_functions import GMSH_TETRAHEDRON
 
 if TYPE_CHECKING:
     from meshes import MeshData
@@ -115,7 +116,9 @@ def _size(
     """Size of a mesh with given numbers of displacement nodes, cell corners and interface nodes."""
     laws, deforms, conducts = case.interfaces.items(), solid(case), case.conducts
     jumps = deforms * sum(interface_nodes[name] for name, law in laws if law.can_part)
-    conducting = {name for name, law in laws if law.conductance is not None} - case.faces.keys()
+    conducting = {
+        name for name, law in laws if law.conductance is not None
+    } - case.sliding_boundaries.keys()
     steps = conducts * sum(interface_nodes[name] for name in conducting)
     return _Size(cells, deforms * nodes, jumps, conducts * corners, steps)
 
@@ -303,8 +306,10 @@ def exact_size(case: Case, data: MeshData, available: float = math.inf) -> str:
     elastic = data.cells[~np.isin(data.cell_tags, rigid), :4]
     nodes, corners = len(np.unique(elastic)), len(np.unique(data.cells[:, :4]))
     if case.mesh.order == 2:
-        nodes += len(np.unique(np.sort(elastic[:, EDGES].reshape(-1, 2), axis=1), axis=0))
-    counts = {n: len(interface_nodes(data, n, case.faces)) for n in case.interfaces}
+        nodes += len(
+            np.unique(np.sort(elastic[:, GMSH_TETRAHEDRON].reshape(-1, 2), axis=1), axis=0)
+        )
+    counts = {n: len(interface_nodes(data, n, case.sliding_boundaries)) for n in case.interfaces}
     size = _size(case, len(data.cells), nodes, corners, counts)
     lines = [_described("size", case, size, available)]
     for name, tag in data.regions.items():

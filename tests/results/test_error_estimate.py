@@ -88,7 +88,7 @@ def test_error_estimate_companions_are_coarser(
     assert [
         (c.case.mesh.size, c.case.stages[0].increments, c.steps) for c in companions
     ] == expected
-    assert all(c.case.mesh.far == 4 * c.case.mesh.size for c in companions)
+    assert all(c.case.mesh.far_size_or_default == 4 * c.case.mesh.size for c in companions)
 
 
 def test_error_estimate_with_fewer_companions() -> None:

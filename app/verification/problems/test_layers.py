@@ -132,7 +132,6 @@ def test_layer_order_stem(problem: KnownProblem) -> None:
 
 CASE = "verification/layer.yaml"
 SERIES = "layer of stiffness k_n, k_t in series with Coulomb's law"
-ACROSS = 150.0  # MPa/mm
 ALONG = 130.0  # MPa/mm
 LIMIT = 0.9  # MPa, of friction
 PRESS = 0.02  # mm
