@@ -3,6 +3,5 @@
 Without the name and the folder of a package, the core runs every case that has none of its keys.
 """
 
-from app import bearing, fatigue, patient, press_fit, remodelling
-
-EXTENSIONS = (bearing, fatigue, patient, press_fit, remodelling)
+# Importing a package registers it.
+from app import bearing, fatigue, patient, press_fit, remodelling  # noqa: F401

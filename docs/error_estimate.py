@@ -37,7 +37,7 @@ from app.case.quantities import (
 )
 from app.patient import bone_surface
 from app.results import error_estimate
-from app.results.error_estimate import ROUNDING, is_zero, largest_of_units
+from app.results.error_estimate import ROUNDING_OF_NUMBERS, is_zero, largest_of_units
 from tests.meshes import cad_stems
 from tests.patient.bones import moved, parametric_canal, parametric_femur, write
 
@@ -425,7 +425,10 @@ def judged(folder: Path, hip: str, mesh: str, parts: bool = False) -> Iterator[J
                 continue
             error = abs(value - right)
             # Initial temperatures, for one, are exact.
-            rounding = hip in HEAT_SCENES and max(error, estimate) <= ROUNDING * run.largest[q.unit]
+            rounding = (
+                hip in HEAT_SCENES
+                and max(error, estimate) <= ROUNDING_OF_NUMBERS * run.largest[q.unit]
+            )
             if not is_zero(value, estimate, run.largest[q.unit]) and not rounding:
                 yield Judged(f"{name}.{key}", classes[q.order], abs(value), estimate, error)
 

@@ -15,11 +15,11 @@ import mantle
 from app.foundation.arrays import Floats
 from app.plots import figures
 from app.plots.curves import Line, Panel, draw_panel
-from app.plots.figures import HEAT, PNG
+from app.plots.figures import HEAT_COLOURS, PNG
 from app.results.reading import Run
 
 FIGURE = Path(__file__).with_name("interface_strength.png")
-MOST = 6.0  # times the stance, at the end
+MOST_TIMES = 6.0  # times the stance, at the end
 BONDS = {"bonded": "rigid", "layer_150": "150 MPa/mm", "layer_30": "30 MPa/mm"}
 
 
@@ -27,10 +27,10 @@ def first_failure(run: Run, rows: list[int]) -> Floats:
     """Multiple of the stance at which nodes begin to fail, infinite where they do not (n,)."""
     if "cement_bone_damage" not in run.point_fields:
         with np.errstate(divide="ignore"):
-            multiple = MOST / run.at_interface("cement_bone", "failure_index")[rows]
-        return np.where(multiple > MOST, np.inf, multiple)
+            multiple = MOST_TIMES / run.at_interface("cement_bone", "failure_index")[rows]
+        return np.where(multiple > MOST_TIMES, np.inf, multiple)
     damage = [run.at_interface("cement_bone", "damage", k)[rows] for k in range(len(run.times))]
-    multiples = MOST * np.append(run.times, np.inf)
+    multiples = MOST_TIMES * np.append(run.times, np.inf)
     return np.asarray(multiples[np.argmax([*(d > 0 for d in damage), damage[0] >= 0], axis=0)])
 
 
@@ -45,14 +45,21 @@ def main(folder: Path) -> None:
     for k, (name, run) in enumerate(runs.items()):
         place = {tuple(x): row for row, x in enumerate(run.points.round(6))}
         at = first_failure(run, [place[tuple(x)] for x in layer.points[nodes].round(6)])
-        at_load = np.linspace(0, MOST, 121 if name == "bonded" else 13)
+        at_load = np.linspace(0, MOST_TIMES, 121 if name == "bonded" else 13)
         failed = [100 * area[at <= load].sum() / area.sum() for load in at_load]
         lines.append(Line(BONDS[name], k, at_load.tolist(), failed, look="line"))
         x, y, z = layer.points[nodes].T
         angle, fails = np.degrees(np.arctan2(y, x)), np.isfinite(at)
         maps[k].scatter(angle[~fails], z[~fails], c="0.85", s=22, marker="s")
         drawn = maps[k].scatter(
-            angle[fails], z[fails], c=at[fails], s=22, marker="s", cmap=HEAT, vmin=0, vmax=MOST
+            angle[fails],
+            z[fails],
+            c=at[fails],
+            s=22,
+            marker="s",
+            cmap=HEAT_COLOURS,
+            vmin=0,
+            vmax=MOST_TIMES,
         )
         figures.set_title(maps[k], BONDS[name])
         maps[k].set_xticks([-180, -90, 0, 90, 180], ["lat.", "post.", "med.", "ant.", "lat."])

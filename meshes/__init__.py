@@ -84,7 +84,7 @@ def _make(geometry: GeometryKeys, mesh: MeshKeys) -> MeshData:
         # The case knows which interfaces of a file are meshed apart.
         _check_parts(data, (), geometry.interface_sides)
     else:
-        _check_parts(data, set(data.regions) - DIVISIBLE, geometry.faces)
+        _check_parts(data, set(data.regions) - DIVISIBLE, geometry.sliding_boundaries)
     _check_interfaces(data, geometry.joined)
     notes = {
         **data.notes,
@@ -109,7 +109,7 @@ def _make(geometry: GeometryKeys, mesh: MeshKeys) -> MeshData:
         from meshes import mantle
 
         notes["cortex_min"] = mantle.least_cortex(data, geometry.flanks_end)
-    return replace(data, notes=notes, behind=None)  # others may change the cells
+    return replace(data, notes=notes, given_neighbours=None)  # others may change the cells
 
 
 def _checked(mesher: ModuleType, geometry: GeometryKeys, mesh: MeshKeys) -> tuple[MeshData, Floats]:
@@ -127,7 +127,7 @@ def _remedy(mesher: ModuleType, geometry: GeometryKeys, mesh: MeshKeys) -> str:
         candidates = (float(f"{factor * length:.2g}") for factor in SIZE_FACTORS)
         return [candidate for candidate in candidates if lowest <= candidate <= highest]
 
-    sizes = lengths_near(mesh.size, 0.0, min(mesh.far, geometry.coarsest_size))
+    sizes = lengths_near(mesh.size, 0.0, min(mesh.far_size_or_default, geometry.coarsest_size))
     changes: list[tuple[str, float, GeometryKeys, MeshKeys]] = [
         ("mesh.size", x, geometry, mesh.model_copy(update={"size": x})) for x in sizes
     ]
@@ -215,7 +215,7 @@ def _check_interfaces(data: MeshData, regions_of_bodies: Collection[Collection[s
 
 def _touching_regions(data: MeshData) -> Iterator[tuple[str, str, Ints]]:
     """Pairs of regions that meet, and the facets (n, 3) or (n, 6) between them."""
-    cell, face, behind = data.between
+    cell, face, behind = data.facets_between_regions
     for (a, first_tag), (b, second_tag) in combinations(data.regions.items(), 2):
         is_between = (data.cell_tags[cell] == first_tag) & (data.cell_tags[behind] == second_tag)
         if is_between.any():

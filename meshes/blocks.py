@@ -33,7 +33,7 @@ def build(geometry: StackKeys, mesh: MeshKeys) -> MeshData:
     with session("blocks") as gmsh:
         _stack(gmsh, lx, ly, planes)
         distances = [f"((z-{level})-({slope})*(x-{lx / 2}))*{cosine}" for level in levels[1:-1]]
-        grade(gmsh, distances, mesh.size, mesh.far if distances else mesh.size)
+        grade(gmsh, distances, mesh.size, mesh.far_size_or_default if distances else mesh.size)
         points, cells, block = tetrahedra(gmsh, bool(mesh.curved))
     facets, owner = exterior_facets(cells)
     regions, size = number(geometry.region_names), np.array([lx, ly, levels[-1]])

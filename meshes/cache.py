@@ -70,7 +70,7 @@ def _gmsh_version() -> str:
 
 # Parts of a mesh in the cache.
 ARRAYS = ("points", "cells", "cell_tags", "facets", "facet_tags")
-NAMES = ("regions", "boundaries", "interfaces", "notes")
+NAMED_PARTS = ("regions", "boundaries", "interfaces", "notes")
 
 
 def cached_mesh(path: Path) -> MeshData | None:
@@ -103,7 +103,7 @@ def lock(path: Path) -> Iterator[None]:
 
 def store(data: MeshData, path: Path) -> None:
     """Write the mesh under another name and rename it; skipped where the folder is not writable."""
-    named_parts = json.dumps({name: getattr(data, name) for name in NAMES})
+    named_parts = json.dumps({name: getattr(data, name) for name in NAMED_PARTS})
     arrays = {name: getattr(data, name) for name in ARRAYS}
     content = io.BytesIO()
     np.savez(content, **arrays, names=np.array(named_parts))

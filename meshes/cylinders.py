@@ -64,7 +64,7 @@ def _tetrahedra(
             angle = 2 * math.pi * geometry.fraction
             _solids(gmsh, radii, slope * length / 2, length, angle)
         distances = [f"(sqrt(x*x+y*y)-{r}-({slope})*(z-{length / 2}))" for r in radii[:2]]
-        grade(gmsh, distances, mesh.size, mesh.far)
+        grade(gmsh, distances, mesh.size, mesh.far_size_or_default)
         return tetrahedra(gmsh, bool(mesh.curved))
 
 

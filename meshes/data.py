@@ -3,8 +3,8 @@
 A mesher works with names; dolfinx wants one integer per cell and per facet. Regions count from 1.
 A boundary is a union of *patches*, disjoint sets of facets with one tag each.
 
-Local numbering is gmsh's: a tetrahedron has its vertices 0..3, then (quadratic) the middles of the
-edges ``EDGES``; a facet has its vertices 0..2, then the middles of 01, 12, 20.
+Local numbering is gmsh's: the vertices, then the mid-side nodes of quadratic cells and facets in
+the order of `GMSH_TETRAHEDRON` and `GMSH_TRIANGLE` (`meshes.shape_functions`).
 """
 
 from __future__ import annotations
@@ -18,14 +18,13 @@ import numpy as np
 import numpy.typing as npt
 
 from app.foundation.arrays import Bools, Floats, Ints
-from meshes.shape_functions import GMSH_TETRAHEDRON, Edges, slopes_of_shape_functions
+from meshes.shape_functions import GMSH_TETRAHEDRON, GMSH_TRIANGLE, Edges, slopes_of_shape_functions
 
 Tags = npt.NDArray[np.integer]
 # Names of the regions on the two sides of an interface.
 Sides = tuple[tuple[str, ...], tuple[str, ...]]
 CHUNK_CELLS = 1 << 13  # cells, of which all intermediate numbers fit a cache
 
-EDGES = GMSH_TETRAHEDRON
 # The nodes of each face of a quadratic tetrahedron as a facet's, outward for positive volume.
 FACES = np.array([(0, 2, 1, 6, 5, 4), (0, 1, 3, 4, 9, 7), (0, 3, 2, 7, 8, 6), (1, 2, 3, 5, 8, 9)])
 
@@ -34,7 +33,7 @@ class StepKeys(Protocol):
     """Steps along a stem."""
 
     def steps(self, length: float) -> int:
-        """Equal steps of about the largest along a stem in a length."""
+        """Number of equal steps along a stem in a length, each about `step_along`."""
 
 
 class MeshKeys(StepKeys, Protocol):
@@ -45,12 +44,12 @@ class MeshKeys(StepKeys, Protocol):
         """Edge length at the interfaces."""
 
     @property
-    def far(self) -> float:
-        """Edge length far from them."""
+    def far_size_or_default(self) -> float:
+        """Edge length far from the interfaces; by default a multiple of `size`."""
 
     @property
     def far_size(self) -> float | None:
-        """Edge length far from them, if it is given."""
+        """Key of the case: edge length far from the interfaces; None if it is not given."""
 
     @property
     def curved(self) -> bool | None:
@@ -74,7 +73,10 @@ class MeshKeys(StepKeys, Protocol):
         """Lines around a stem, by half-width, half-depth, corner radius of a section; by cement."""
 
     def along_cement(self, cement: Any) -> float:
-        """Cells through cement of a thickness; a fraction is the part with one more."""
+        """Mean number of cells through cement of a thickness.
+
+        2.3 means that 30 % of the area has three cells, and the rest two.
+        """
 
     def cells_through(self, cement: Any) -> tuple[int, int, int]:
         """Most cells through cement of a thickness, cancellous and cortical bone."""
@@ -97,7 +99,7 @@ class MeshData:
         boundaries: Boundary name to its patch tags; patches are disjoint, names may share them.
         interfaces: Interface name to the region names on either side.
         notes: Notes of the mesher (quality, achieved thickness); JSON-able.
-        behind: The cell behind each face of each cell, -1 outside, where it is known (m, 4).
+        given_neighbours: `neighbours`, if the mesher knows them (m, 4); else None.
     """
 
     points: Floats
@@ -109,7 +111,7 @@ class MeshData:
     boundaries: Mapping[str, tuple[int, ...]]
     interfaces: Mapping[str, Sides]
     notes: Mapping[str, Any] = field(default_factory=dict)
-    behind: Ints | None = None
+    given_neighbours: Ints | None = None
 
     @property
     def curved(self) -> bool:
@@ -119,10 +121,12 @@ class MeshData:
     @cached_property
     def neighbours(self) -> Ints:
         """The cell behind each face of each cell, -1 outside; shape (m, 4)."""
-        return match_faces(self.cells).reshape(-1, 4) // 4 if self.behind is None else self.behind
+        if self.given_neighbours is not None:
+            return self.given_neighbours
+        return match_faces(self.cells).reshape(-1, 4) // 4
 
     @cached_property
-    def between(self) -> tuple[Ints, Ints, Ints]:
+    def facets_between_regions(self) -> tuple[Ints, Ints, Ints]:
         """Facets between regions: cells, local faces, cells behind; each of shape (k,).
 
         Each facet occurs twice, as seen from either side.
@@ -191,7 +195,7 @@ def connected(n: int, a: Ints, b: Ints) -> Ints:
     node = np.arange(n)
     label: Ints = node.copy()
     while len(a):
-        # The greater one is known by the lesser one, and all that are known by it.
+        # Replace the greater label of each pair by the lesser one, then labels by their labels.
         label[np.maximum(a, b)] = np.minimum(a, b)
         while not np.array_equal(further := label[label], label):
             label = further
@@ -212,8 +216,8 @@ def connected_components(neighbours: Ints, labels: npt.NDArray[np.int32]) -> Int
     return connected(len(neighbours), a, neighbours[a, face])
 
 
-# Quadrature exact for the volume of a quadratic tetrahedron (cubic Jacobian, four points of
-# degree 2 would not do) and good to 1e-6 for the area of a quadratic facet.
+# Quadrature that is exact for the volume of a quadratic tetrahedron. Its Jacobian is cubic, so
+# degree 3 is needed. For the area of a quadratic facet the relative error is about 1e-6.
 _TET_POINTS = np.vstack([np.full((1, 4), 1 / 4), np.where(np.eye(4), 1 / 2, 1 / 6)])
 _TET_WEIGHTS = np.array([-4 / 5] + [9 / 20] * 4)
 _A = (6 - np.sqrt(15)) / 21
@@ -225,12 +229,12 @@ _TRI_WEIGHTS = np.repeat([9 / 40, *((155 + s * np.sqrt(15)) / 1200 for s in (-1,
 
 
 def tangents(x: Floats, barycentric: Floats, edges: Edges) -> Floats:
-    """Derivatives dx/dLk - dx/dL0, k > 0, of quadratic cells or facets; shape (k, 3, m, q).
+    """Derivatives dx/dLk - dx/dL0, k > 0, of cells or facets; shape (k, 3, m, q).
 
     Args:
         x: Nodes of the cells or facets (m, v + e, 3).
         barycentric: Coordinates of the points (q, v).
-        edges: The e pairs of vertices with a node in the middle.
+        edges: The e pairs of vertices with a node in the middle; none for straight cells or facets.
     """
     slopes = slopes_of_shape_functions(barycentric, edges)
     # By BLAS, which takes a fifteenth of the time of sums by numpy.
@@ -255,7 +259,7 @@ def cell_volumes(points: Floats, cells: Ints) -> Floats:
     if cells.shape[1] == 4:
         chunks = edge_vectors(points, cells)
         return np.concatenate([dot(a, np.cross(b, c, axis=0)) for a, b, c in chunks]) / 6
-    a, b, c = tangents(points[cells], _TET_POINTS, EDGES)
+    a, b, c = tangents(points[cells], _TET_POINTS, GMSH_TETRAHEDRON)
     return dot(a, np.cross(b, c, axis=0)) @ _TET_WEIGHTS / 6
 
 
@@ -264,7 +268,7 @@ def facet_areas(points: Floats, facets: Ints) -> Floats:
     x = points[facets]
     if facets.shape[1] == 3:
         return np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1) / 2
-    a, b = tangents(x, _TRI_POINTS, ((0, 1), (1, 2), (2, 0)))
+    a, b = tangents(x, _TRI_POINTS, GMSH_TRIANGLE)
     return np.linalg.norm(np.cross(a, b, axis=0), axis=0) @ _TRI_WEIGHTS / 2
 
 
@@ -286,7 +290,7 @@ def boundary_areas(data: MeshData) -> dict[str, float]:
 def interface_facets(data: MeshData, name: str) -> tuple[Ints, Ints, Ints]:
     """Facets of an interface: nodes (outward from the first side), cells on either side."""
     first_tags, second_tags = ([data.regions[r] for r in side] for side in data.interfaces[name])
-    cell, face, behind = data.between
+    cell, face, behind = data.facets_between_regions
     is_between = np.isin(data.cell_tags[cell], first_tags) & np.isin(
         data.cell_tags[behind], second_tags
     )
@@ -302,9 +306,11 @@ def nodes_of_boundary_facets(data: MeshData, name: str) -> Ints:
     return data.facets[np.isin(data.facet_tags, data.boundaries.get(name, ()))]
 
 
-def interface_nodes(data: MeshData, name: str, faces: Mapping[str, tuple[str, str]]) -> Ints:
-    """Corner nodes of an interface (n,); of its second boundary in ``faces`` if meshed apart."""
-    boundaries = faces.get(name)
+def interface_nodes(
+    data: MeshData, name: str, sliding_boundaries: Mapping[str, tuple[str, str]]
+) -> Ints:
+    """Corner nodes of an interface (n,); of its second sliding boundary if meshed apart."""
+    boundaries = sliding_boundaries.get(name)
     facets = (
         nodes_of_boundary_facets(data, boundaries[1])
         if boundaries
@@ -328,11 +334,11 @@ def canonical(data: MeshData) -> MeshData:
     a, b, c, d = np.sort(cells[:, :4], axis=1).T
     n = len(nodes)
     by_cell = np.lexsort((c * n + d, (data.cell_tags.astype(np.int64) * n + a) * n + b))
-    behind = data.behind
-    if behind is not None:
+    neighbours = data.given_neighbours
+    if neighbours is not None:
         new_cell = np.full(len(cells) + 1, -1, dtype=np.int64)  # the last entry keeps -1
         new_cell[by_cell] = np.arange(len(cells))
-        behind = new_cell[behind.take(by_cell, axis=0)]
+        neighbours = new_cell[neighbours.take(by_cell, axis=0)]
     by_facet = np.lexsort((*np.sort(facets[:, :3], axis=1).T[::-1], data.facet_tags))
     return replace(
         data,
@@ -341,7 +347,7 @@ def canonical(data: MeshData) -> MeshData:
         cell_tags=data.cell_tags[by_cell].astype(np.int32),
         facets=facets[by_facet],
         facet_tags=data.facet_tags[by_facet].astype(np.int32),
-        behind=behind,
+        given_neighbours=neighbours,
     )
 
 
@@ -361,8 +367,8 @@ def mesh_data_of(
 ) -> MeshData:
     """Make a mesh from boundaries that may overlap, masks over the exterior ``facets``.
 
-    Facets that belong to the same set of names form one patch, so ``bone_surface`` may contain
-    ``gluteus_medius`` and ``top`` be the union of three ends; facets without a name are left out.
+    Facets that belong to the same set of names form one patch, so boundaries may overlap:
+    ``gluteus_medius`` is part of ``bone_surface``. Facets without a name are left out.
     """
     masks = np.array([*boundaries.values()], dtype=bool).reshape(-1, len(facets))
     patterns, inverse = np.unique(masks.T, axis=0, return_inverse=True)

@@ -171,7 +171,7 @@ def _tags(mesh: dolfinx.mesh.Mesh, dim: int, sets: Sequence[Entities]) -> MeshTa
 def distribute(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
     """Distribute the mesh of rank 0 (None on the others) to all ranks; collective."""
     emptied = {name: getattr(data, name)[:0] for name in ARRAYS} if data is not None else {}
-    shared: MeshData = comm.bcast(data and replace(data, behind=None, **emptied))
+    shared: MeshData = comm.bcast(data and replace(data, given_neighbours=None, **emptied))
     source = shared if data is None else data
     corners, width = source.cells.shape[1], source.facets.shape[1]
     threads_before = os.environ.get(THREADS)

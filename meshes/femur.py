@@ -92,7 +92,7 @@ def assembled(
     masks |= _patches(geometry, x, facets, masks["bone_surface"])
     data = mesh_data_of(x, swept_mesh.cells, tags, tag_of, interfaces, masks, facets)
     notes = {"head_centre": list(geometry.head_centre), "layers": swept_mesh.describe()}
-    return replace(data, notes=notes, behind=swept_mesh.partner.reshape(-1, 4) // 4)
+    return replace(data, notes=notes, given_neighbours=swept_mesh.partner.reshape(-1, 4) // 4)
 
 
 def _patches(geometry: HipKeys, points: Floats, facets: Ints, surface: Bools) -> dict[str, Bools]:

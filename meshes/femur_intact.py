@@ -29,31 +29,57 @@ from meshes.data import MeshData, MeshKeys
 from meshes.femur import assembled
 from meshes.geometry import IntactHipKeys
 from meshes.layered_surfaces import LEAST_MANTLE, MANTLE_BELOW_PLUG, LayeredSurfaces
-from meshes.layers import DIGITS, Lines, Nodes
+from meshes.layers import DIGITS_OF_NODES, Lines, Nodes
 from meshes.reference_body import ReferenceBody, Segment
 
 REGIONS = ("cortical_bone", "cancellous_bone")
-# Sections for the lines of the mesh over those of a planned stem without cement: a slim stem has
-# room in the canal, whatever the planned one takes of the cortex.
+# Sections for the lines of the mesh over those of a planned stem without cement [-]. A slim stem
+# fits every canal, even if the planned one cuts into the cortex.
 SLIM_FACTOR = 0.6
 SECTION_KEYS = ("half_width", "half_depth", "corner_radius")
 # Radius of the neck at the axis of the shaft and at the head's centre, over that of the head.
 NECK_RATIO = (0.76, 0.65)
 # Cortex at the same places [mm]; the second is that of the head too.
 CORTEX_THICKNESS = (3.5, 2.0)
-CORE_SHARE = 0.35  # of sections of neck and head: where the innermost surface is
-LEAST_STEPS = 5  # along the head, at least
-HEAD_LENGTH = 1.4  # of the head's radius: the length of the head along its axis
-LEAST_STEP_RATIO = 0.6  # of the distance of lines on the head: its least step
-CAP_ANGLE = math.radians(50.0)  # half the opening of the lid that closes the head
-CUT_CLEARANCE = 6.0  # mm that the first ring of the neck is above the cut
-TROCHANTER_RISE = 6.0  # mm that the trochanter rises beyond the cut, across the shaft
+# Size of the innermost surface over that of the section, in neck and head [-].
+CORE_SHARE = 0.35
+# Least number of steps along the head.
+LEAST_STEPS = 5
+# Length of the head along its axis over its radius [-].
+HEAD_LENGTH = 1.4
+# Least step along the head over the distance of its lines [-].
+LEAST_STEP_RATIO = 0.6
+# Half the opening of the lid that closes the head [rad].
+CAP_ANGLE = math.radians(50.0)
+# Distance of the first ring of the neck above the cut [mm].
+CUT_CLEARANCE = 6.0
+# Rise of the trochanter beyond the cut, across the shaft [mm].
+TROCHANTER_RISE = 6.0
 
 
-class Intact(LayeredSurfaces):
-    """Surfaces of the intact bone; beyond station ``neck``, in the head, nodes are on no line."""
+class IntactFemurSurfaces(LayeredSurfaces):
+    """Surfaces of the intact bone; beyond station ``neck``, in the head, nodes are on no line.
+
+    Attributes:
+        neck: Station of the last section of the neck, where the head begins.
+        ball: Station of the last section of the ball; beyond it a lid closes the shell.
+    """
 
     _geometry: IntactHipKeys
+    neck: int
+    ball: int
+    # Set by `_divide_above_cut`: radius of the head [mm], unit vectors along the neck and medial
+    # to it, centre of the head [mm].
+    _radius: float
+    _axis: Floats
+    _medial: Floats
+    _centre: Floats
+    # Length of the neck's axis from the shaft to the head's centre [mm].
+    _length: float
+    # Distance from the head's centre at which the neck's cone meets the sphere [mm].
+    _sphere_distance: float
+    # Distance from the head's centre at which the rings of the neck begin [mm].
+    _ring_distance: float
 
     def _divide_above_cut(self, implant: Implant) -> None:
         geometry, placement = self._geometry, self._placement
@@ -89,8 +115,9 @@ class Intact(LayeredSurfaces):
     def _replace_above_cut(self, lines: Lines, phi: Floats, s: Floats) -> None:
         """Blend the lines at the cut into those of the neck; lines of the head are not used."""
         is_above = s > self.cut
-        start, end, mantle, endosteum = (v[is_above] for v in vars(lines).values())
-        angle, ratio = 2 * np.pi * phi[is_above], mantle / endosteum
+        start, end = lines.start[is_above], lines.end[is_above]
+        endosteum = lines.endosteum[is_above]
+        angle, ratio = 2 * np.pi * phi[is_above], lines.mantle[is_above] / endosteum
         fraction = np.minimum((s[is_above] - self.cut) / (self.neck - self.cut), 1.0)
         neck_share = 1 - (1 - fraction) ** 2  # the neck is reached soon
         neck_column = neck_share[:, None]
@@ -105,10 +132,11 @@ class Intact(LayeredSurfaces):
             centre + CORE_SHARE * radius[:, None] * directions
         )
         inner = 1 - cortex / ((1 - CORE_SHARE) * radius)
-        # The trochanter rises beyond the cut before it falls to the neck.
+        # The trochanter rises beyond the cut before it falls to the neck. The largest value of
+        # f (1 - f)^2 is 4/27.
         rise = (
             TROCHANTER_RISE
-            * 6.75
+            * (27 / 4)
             * fraction
             * (1 - fraction) ** 2
             * (0.5 - 0.5 * np.cos(angle)) ** 2
@@ -160,7 +188,7 @@ class Intact(LayeredSurfaces):
         radius = self._radius - CORTEX_THICKNESS[1] * (1 - outward)
         offsets[in_shell] *= (radius / np.sqrt((offsets**2).sum(axis=1)))[in_shell, None]
         x, rho = nodes.x.copy(), nodes.rho.copy()
-        x[in_head] = np.round(self._centre + offsets, DIGITS)
+        x[in_head] = np.round(self._centre + offsets, DIGITS_OF_NODES)
         rho[in_head] = np.where(in_shell, -3.0, 0.0)
         # The rim of the lid is that of the shell.
         stations = number.reshape(-1, column_count)
@@ -203,7 +231,7 @@ class Intact(LayeredSurfaces):
 def _extended(
     start: Floats, end: Floats, endosteum: Floats, extension: Floats
 ) -> tuple[Floats, Floats]:
-    """Extend lines: their ends, and the position of the endosteum under a cortex as thick."""
+    """Extend lines at their ends and keep the thickness of the cortex."""
     direction = end - start
     length = np.sqrt((direction**2).sum(axis=1))
     return end + (extension / length)[:, None] * direction, (endosteum * length + extension) / (
@@ -214,8 +242,9 @@ def _extended(
 def build(geometry: IntactHipKeys, mesh: MeshKeys) -> MeshData:
     """Mesh the bone: two regions.
 
-    Boundaries are distal_cut, bone_surface, head and six muscle patches, the last two parts of
-    bone_surface; notes have the head centre and layers. ``mesh`` are options of a case.
+    Boundaries are distal_cut, bone_surface, head and six muscle patches. ``head`` and the muscle
+    patches are parts of ``bone_surface``. Notes have the head centre and layers. ``mesh`` are
+    options of a case.
 
     Raises:
         GeometryError: The planned stem does not fit the canal.
@@ -226,7 +255,7 @@ def build(geometry: IntactHipKeys, mesh: MeshKeys) -> MeshData:
         keys = [f"{prefix}{key}" for prefix in ("", "tip_") for key in SECTION_KEYS]
         slim_stem = stem.model_copy(update={key: SLIM_FACTOR * getattr(stem, key) for key in keys})
         changes |= {"cement_thickness": LEAST_MANTLE, "stem": slim_stem, "tip_void": 0.0}
-    surfaces = Intact(geometry.model_copy(update=changes), mesh)
+    surfaces = IntactFemurSurfaces(geometry.model_copy(update=changes), mesh)
     swept_mesh = swept.meshed_layers(surfaces, bool(mesh.curved))
     facets, _ = swept_mesh.facets
     distal, head = swept_mesh.on(facets, s=0), swept_mesh.above(facets, surfaces.neck)

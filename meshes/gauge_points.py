@@ -35,11 +35,11 @@ LARGEST_BEND = 60.0
 # Largest angle between the direction of the grid and the tangent plane [deg].
 LARGEST_TILT = 60.0
 # Rounding of barycentric coordinates.
-ROUNDING = 1e-9
+ROUNDING_OF_BARYCENTRIC = 1e-9
 # Points this far outside the flat triangle of a curved facet may lie in the facet.
-OUTSIDE = 0.5
+OUTSIDE_FLAT_TRIANGLE = 0.5
 # Iterations of Newton's method in a curved facet.
-ITERATIONS = 10
+MOST_NEWTON_ITERATIONS = 10
 # Improvements of the normal by the facets below the circle.
 IMPROVEMENTS = 2
 
@@ -191,7 +191,7 @@ def _circle_fault(
             " of the surface"
         )
     rings = np.unique(radius)
-    inside = rings[rings < radius[~is_allowed].min() * (1 - ROUNDING)]
+    inside = rings[rings < radius[~is_allowed].min() * (1 - ROUNDING_OF_BARYCENTRIC)]
     if len(inside):
         remedy = f"expected at most about {2 * inside.max():.2g} mm there, or another place"
     else:
@@ -239,7 +239,7 @@ def _projected(x: Floats, points: Floats, normal: Floats, diameter: float) -> _H
         # A point on the edge of two facets belongs to the first of them.
         if (
             abs(line_height) <= diameter
-            and abs(line_height) < abs(height[line]) - ROUNDING * diameter
+            and abs(line_height) < abs(height[line]) - ROUNDING_OF_BARYCENTRIC * diameter
         ):
             facet[line], barycentric[line], height[line] = rows[row], coordinates, line_height
     return _Hits(facet, barycentric, height)
@@ -259,19 +259,19 @@ def _on_lines(x: Floats, points: Floats, axis: Floats) -> list[tuple[int, int, F
     # Facets seen from the edge have no points on a line.
     area = np.abs(np.linalg.det(edge))
     longest = np.linalg.norm(x[:, 1:3] - x[:, :1], axis=2).max(axis=1)
-    visible = np.flatnonzero(area > ROUNDING * longest**2)
+    visible = np.flatnonzero(area > ROUNDING_OF_BARYCENTRIC * longest**2)
     inverse = np.linalg.inv(edge[visible])
     inner_coordinates = np.einsum("fij,nfj->nfi", inverse, plane_points[:, None] - a[visible])
     coordinates = np.concatenate(
         [1 - inner_coordinates.sum(axis=2, keepdims=True), inner_coordinates], axis=2
     )
-    margin = ROUNDING if x.shape[1] == 3 else OUTSIDE
+    margin = ROUNDING_OF_BARYCENTRIC if x.shape[1] == 3 else OUTSIDE_FLAT_TRIANGLE
     line, facet = np.nonzero(coordinates.min(axis=2) >= -margin)
     barycentric = coordinates[line, facet]
     facet = visible[facet]
     if x.shape[1] == 6:
         barycentric = _in_curved(plane_nodes[facet], plane_points[line], barycentric)
-        inside = np.flatnonzero(barycentric.min(axis=1) >= -ROUNDING)
+        inside = np.flatnonzero(barycentric.min(axis=1) >= -ROUNDING_OF_BARYCENTRIC)
         line, facet, barycentric = line[inside], facet[inside], barycentric[inside]
     barycentric = np.maximum(barycentric, 0.0)
     barycentric /= barycentric.sum(axis=1, keepdims=True)
@@ -287,7 +287,7 @@ def _on_lines(x: Floats, points: Floats, axis: Floats) -> list[tuple[int, int, F
 
 def _in_curved(plane_nodes: Floats, plane_points: Floats, barycentric: Floats) -> Floats:
     """Coordinates (n, 3) in curved facets, seen in a plane (n, 6, 2), of points there (n, 2)."""
-    for _ in range(ITERATIONS if len(barycentric) else 0):
+    for _ in range(MOST_NEWTON_ITERATIONS if len(barycentric) else 0):
         residual = plane_points - np.einsum(
             "nk,nkc->nc", shape_functions(barycentric, GMSH_TRIANGLE), plane_nodes
         )
@@ -336,6 +336,6 @@ def _last_hit(x: Floats, point: Floats, towards: Floats) -> tuple[int, Floats]:
         )
     last_height = max(hit[3] for hit in ahead)
     _, facet, barycentric, _ = next(
-        hit for hit in ahead if hit[3] >= last_height - ROUNDING * (1 + last_height)
+        hit for hit in ahead if hit[3] >= last_height - ROUNDING_OF_BARYCENTRIC * (1 + last_height)
     )
     return facet, barycentric

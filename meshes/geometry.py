@@ -65,7 +65,7 @@ class GeometryKeys(Protocol):
         """Regions on the two sides of each interface."""
 
     @property
-    def faces(self) -> Mapping[str, tuple[str, str]]:
+    def sliding_boundaries(self) -> Mapping[str, tuple[str, str]]:
         """Boundaries of the two sides of each interface between separately meshed bodies."""
 
     @property

@@ -26,7 +26,7 @@ RIM_HEIGHT = 10.0  # mm below the neck cut whose interfaces are reported apart
 # Part of the surface of a stem without cement that no bone touches.
 SHOULDER = "shoulder"
 # Layered meshes put points on the planes between zones, where rounding must not decide [mm].
-ROUNDING = 1e-6
+ROUNDING_OF_ZONE_BORDERS = 1e-6
 
 
 class Zones:
@@ -53,15 +53,20 @@ class Zones:
     def zones_at(self, x: Floats) -> Ints:
         """Frontal zone 1 to 7 and lateral zone 8 to 14 of points (n, 3) [mm], 0: none; (n, 2)."""
         x = self._local(x)
-        third = np.floor(3 * (x[:, 2] - self.tip + ROUNDING) / (self.top - self.tip))
+        third = np.floor(
+            3 * (x[:, 2] - self.tip + ROUNDING_OF_ZONE_BORDERS) / (self.top - self.tip)
+        )
         third = np.clip(third, 0, 2)[:, None].astype(np.int64)
         # Medial and anterior to the stem's axis; lateral in the one view is posterior in the other.
-        medial, anterior = (x[:, :1] >= -ROUNDING), (x[:, 1:2] >= -ROUNDING)
+        medial, anterior = (
+            (x[:, :1] >= -ROUNDING_OF_ZONE_BORDERS),
+            (x[:, 1:2] >= -ROUNDING_OF_ZONE_BORDERS),
+        )
         frontal = np.where(medial, 5 + third, 3 - third)
         lateral = np.where(anterior, 10 - third, 12 + third)
         zones = np.concatenate([frontal, lateral], axis=1)
-        zones[x[:, 2] < self._end + ROUNDING] = (4, 11)
-        zones[x[:, 2] < self.tip - BELOW_TIP + ROUNDING] = 0
+        zones[x[:, 2] < self._end + ROUNDING_OF_ZONE_BORDERS] = (4, 11)
+        zones[x[:, 2] < self.tip - BELOW_TIP + ROUNDING_OF_ZONE_BORDERS] = 0
         return zones
 
     def depth(self, x: Floats) -> Floats:
@@ -80,19 +85,19 @@ class Zones:
         of a stem without cement.
         """
         levels = {} if self._geometry.is_cemented else {SHOULDER: self._shoulder_level(x)}
-        levels["tip"] = self._local(x)[:, 2] - self._end - ROUNDING
+        levels["tip"] = self._local(x)[:, 2] - self._end - ROUNDING_OF_ZONE_BORDERS
         levels["rim"] = self.depth(x) - RIM_HEIGHT
         return levels
 
     def _shoulder_level(self, x: Floats) -> Floats:
         geometry = self._geometry
-        return shoulder_level(geometry.implant, geometry.placement, x) - ROUNDING
+        return shoulder_level(geometry.implant, geometry.placement, x) - ROUNDING_OF_ZONE_BORDERS
 
     def touches(self, x: Floats) -> Bools:
         """Mask of the points (n, 3) of a stem's surface that bone or cement can touch (n,)."""
         if self._geometry.is_cemented:
             return np.ones(len(x), dtype=bool)
-        return np.asarray(self._shoulder_level(x) > -2 * ROUNDING)
+        return np.asarray(self._shoulder_level(x) > -2 * ROUNDING_OF_ZONE_BORDERS)
 
     def is_left(self, x: Floats) -> Bools:
         """Mask of the points (n, 3) [mm] of bone that the planned operation leaves (n,)."""
@@ -111,6 +116,6 @@ class Zones:
             cavity, end_level = np.minimum(cavity, canal), geometry.implant.plug
         else:
             end_level = geometry.implant.tip_z - geometry.implant.tip_void
-        below_end = z < end_level + ROUNDING
-        below_cut = x @ self._normal <= self._level + ROUNDING
-        return np.asarray(below_cut & ((r >= cavity - ROUNDING) | below_end))
+        below_end = z < end_level + ROUNDING_OF_ZONE_BORDERS
+        below_cut = x @ self._normal <= self._level + ROUNDING_OF_ZONE_BORDERS
+        return np.asarray(below_cut & ((r >= cavity - ROUNDING_OF_ZONE_BORDERS) | below_end))

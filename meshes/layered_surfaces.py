@@ -30,12 +30,12 @@ from meshes.cad_stem import CadStem
 from meshes.data import MeshKeys
 from meshes.femur_stem import StemAboveCut
 from meshes.geometry import HipKeys
-from meshes.layers import DIGITS, Lines, Nodes, Sections, root
+from meshes.layers import DIGITS_OF_NODES, Lines, Nodes, Sections, root
 from meshes.placement import LEAST_SHOULDER_DEPTH
-from meshes.reference_body import COARSER, ReferenceBody, Segment
+from meshes.reference_body import COARSENING_OF_CORE, ReferenceBody, Segment
 
 MANTLE_BELOW_PLUG = 0.6  # of the canal: where the outer side of the mantle goes below the plug
-CAD_COARSER = 1.4  # as `COARSER`, of stems from CAD, whose shoulders are not convex
+CAD_COARSER = 1.4  # as `COARSENING_OF_CORE`, of stems from CAD, whose shoulders are not convex
 CAD_SPARED = 0.9  # as `LayeredSurfaces.spared`, of stems from CAD: their edges are sharp
 VOID = "void"  # where no cells are
 COLLAR = "collar"
@@ -48,7 +48,7 @@ SHORTEST_STEP = 0.125  # shortest step at an edge over the largest step along th
 LEAST_MANTLE = 1.0  # mm of cement for which there must be room
 UNREPORTED_CORTEX = 0.05  # mm of cortex that a stem may take unreported
 LEAST_CORTEX = 1.5  # mm of cortex that a stem without cement must leave where it takes some
-SIDES = (
+SIDES_OF_STEM = (
     "medially",
     "antero-medially",
     "anteriorly",
@@ -142,7 +142,7 @@ class StemWithMantle:
         theta = np.arctan2(x[:, 1], x[:, 0])
         share = np.hypot(x[:, 0], x[:, 1]) / (self.shaft.radius(theta, z) * self.tip.width(z))
         draped_points = np.column_stack([x[:, :2], z - self.tip.bulge(share, z)])
-        return np.asarray(np.round(draped_points, DIGITS))
+        return np.asarray(np.round(draped_points, DIGITS_OF_NODES))
 
 
 class LayeredSurfaces:
@@ -168,7 +168,7 @@ class LayeredSurfaces:
         collar: Stations of the neck cut and of the collar's top; the same without a collar.
     """
 
-    coarser, spared = COARSER, 0.0
+    coarser, spared = COARSENING_OF_CORE, 0.0
     mirrored = range(0)
 
     def __init__(self, geometry: HipKeys, mesh: MeshKeys) -> None:
@@ -367,7 +367,7 @@ class LayeredSurfaces:
     def outline(self) -> Floats:
         """Section of the stem, a quarter of its way from cut to tip (around, 2) [mm]."""
         x = self.stem.shaft.point(np.arange(self.around) / self.around, self.stem.middle, 0.0)
-        return np.round(x[:, :2], DIGITS)
+        return np.round(x[:, :2], DIGITS_OF_NODES)
 
     def heights(self, s: Floats) -> Floats:
         """Heights at the axis of the sections at stations s <= cut (n,) [mm]."""
@@ -458,7 +458,7 @@ class LayeredSurfaces:
         """Side of the stem's axis on which a point (3,) of a section is, and its place."""
         x = self._placement.to_model(x)
         offset = x - self._placement.to_model([0.0, 0.0, zeta])
-        side = SIDES[round(8 * np.arctan2(offset[1], offset[0]) / (2 * np.pi)) % 8]
+        side = SIDES_OF_STEM[round(8 * np.arctan2(offset[1], offset[0]) / (2 * np.pi)) % 8]
         return f"{side} at {self._placement.point_in_words(x)}"
 
     def _refuse(self) -> None:

@@ -20,7 +20,7 @@ from scipy.optimize.elementwise import find_root
 from app.foundation.arrays import Bools, Floats, Ints
 from meshes.placement import Placement
 
-DIGITS = 6  # decimals [mm] that nodes are rounded to: processors differ far behind these
+DIGITS_OF_NODES = 6  # decimals [mm] that nodes are rounded to: processors differ far behind these
 
 TURN_LENGTH = 60.0  # mm below the neck cut, or the shoulder, over which sections turn to it
 CORE_OVER = 30.0  # mm below the plug over which lines go over to the shape of the bone

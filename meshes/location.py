@@ -16,11 +16,11 @@ from meshes.shape_functions import (
 
 # Points this far outside a cell still belong to it, in barycentric coordinates: cells cut curved
 # surfaces. They have the value of the surface.
-OUTSIDE = 0.1
+OUTSIDE_CELL = 0.1
 # Digits to which barycentric coordinates are compared, so that rounding does not choose the cell.
-DIGITS = 9
+DIGITS_OF_BARYCENTRIC = 9
 # Iterations of Newton's method in a curved cell; straight cells need none.
-ITERATIONS = 12
+MOST_NEWTON_ITERATIONS = 12
 # Derivatives of the barycentric coordinates with respect to those of the reference cell (4, 3).
 SLOPES = np.vstack([-np.ones(3), np.eye(3)])
 
@@ -57,7 +57,7 @@ def cells_of_points(points: Floats, cells: Ints, x: Floats) -> Places:
         return Places(cell, barycentric, inside)
     nodes = points[cells]
     lower_corner, upper_corner = nodes.min(axis=1), nodes.max(axis=1)
-    margin = 4 * OUTSIDE * (upper_corner - lower_corner)
+    margin = 4 * OUTSIDE_CELL * (upper_corner - lower_corner)
     lower_corner -= margin
     upper_corner += margin
     for k in range(len(x)):
@@ -68,9 +68,9 @@ def cells_of_points(points: Floats, cells: Ints, x: Floats) -> Places:
         if not len(near_cells):
             continue
         cell_coordinates = _coordinates_in_cells(nodes[near_cells], point)
-        smallest = np.round(cell_coordinates.min(axis=1), DIGITS)
+        smallest = np.round(cell_coordinates.min(axis=1), DIGITS_OF_BARYCENTRIC)
         best_row = int(np.argmax(smallest))
-        if smallest[best_row] < -OUTSIDE:
+        if smallest[best_row] < -OUTSIDE_CELL:
             continue
         cell[k] = near_cells[best_row]
         inside[k] = smallest[best_row]
@@ -92,9 +92,9 @@ def _coordinates_in_cells(x: Floats, point: Floats) -> Floats:
     if x.shape[1] == 4:
         return barycentric
     # Far from a cell its quadratic map may have no inverse.
-    is_close = np.flatnonzero(barycentric.min(axis=1) >= -2 * OUTSIDE)
+    is_close = np.flatnonzero(barycentric.min(axis=1) >= -2 * OUTSIDE_CELL)
     coordinates = barycentric[is_close]
-    for _ in range(ITERATIONS if len(is_close) else 0):
+    for _ in range(MOST_NEWTON_ITERATIONS if len(is_close) else 0):
         values = shape_functions(coordinates, GMSH_TETRAHEDRON)
         slopes = slopes_of_shape_functions(coordinates, GMSH_TETRAHEDRON)
         residual = point - np.einsum("ma,mai->mi", values, x[is_close])

@@ -94,7 +94,7 @@ def _fraction_below(z: Floats, level: float) -> Floats:
 
 def least_cortex(data: MeshData, tip: float) -> float:
     """Least distance of the endosteum from the bone's surface, from the tip to z = 0 [mm]."""
-    cell, face, behind = data.between
+    cell, face, behind = data.facets_between_regions
     cortex = data.cell_tags == data.regions["cortical_bone"]
     at_endosteum = cortex[cell] & ~cortex[behind]
     facets = faces_of(data.cells, cell[at_endosteum], face[at_endosteum])

@@ -104,7 +104,7 @@ class MeshPieces:
         boundaries: For each boundary and piece the nodes of the piece on it (n,).
         normals: Mean unit normals at the nodes of some boundaries, zero elsewhere (n, 3).
         doubled: Positions of coincident nodes of each pair of regions (n, 3) [mm].
-        faces: Boundaries of the two sides of interfaces that are meshed apart, by name.
+        sliding_boundaries: Boundaries of the two sides of interfaces meshed apart, by name.
     """
 
     data: MeshData
@@ -114,7 +114,7 @@ class MeshPieces:
     boundaries: Mapping[str, Mapping[int, Ints]]
     normals: Mapping[str, Floats]
     doubled: Mapping[tuple[str, str], Floats]
-    faces: Mapping[str, tuple[str, str]]
+    sliding_boundaries: Mapping[str, tuple[str, str]]
 
     @property
     def x(self) -> Floats:
@@ -127,7 +127,7 @@ class MeshPieces:
 
     def on_interface(self, name: str) -> Ints:
         """Corner nodes of the facets of an interface, or of its second side (n,)."""
-        return interface_nodes(self.data, name, self.faces)
+        return interface_nodes(self.data, name, self.sliding_boundaries)
 
 
 def pieces_of_mesh(
@@ -184,7 +184,7 @@ def pieces_of_mesh(
         boundaries={name: _nodes_on(data, name, piece_of_facet) for name in data.boundaries},
         normals={name: _normals(data, name, cell_of_facet, middles) for name in with_normals},
         doubled=_doubled(data, piece, pieces),
-        faces=meshed_apart or {},
+        sliding_boundaries=meshed_apart or {},
     )
 
 

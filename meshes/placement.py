@@ -23,7 +23,7 @@ from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
 from meshes import femur_stem
 
-ROUNDING = 1e-12  # of a cut's normal: rounded off
+ROUNDING_OF_CUT_NORMAL = 1e-12  # of a cut's normal: rounded off
 # Least depth of a shoulder below the cut [mm]; a higher one counts as at the cut.
 LEAST_SHOULDER_DEPTH = 2.5
 # Beginning of the message on a stem for which the search finds no room.
@@ -69,7 +69,7 @@ class Placement:
     def slopes(self) -> tuple[float, float]:
         """Slope of the cut along x of the stem, and along y over that along x."""
         x, y, z = self.normal @ self.rotation
-        return x / z, y / x if abs(y) > ROUNDING else 0.0
+        return x / z, y / x if abs(y) > ROUNDING_OF_CUT_NORMAL else 0.0
 
     @property
     def tilt(self) -> float:

@@ -10,7 +10,8 @@ import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import GeometryError
-from meshes.data import EDGES, MeshData, Tags, cell_faces, dot, edge_vectors, match_faces, tangents
+from meshes.data import MeshData, Tags, cell_faces, dot, edge_vectors, match_faces, tangents
+from meshes.shape_functions import GMSH_TETRAHEDRON
 
 BAD = 0.01  # below: refused
 POOR = 0.1  # below: counted in the notes, and curved cells are straightened
@@ -20,13 +21,15 @@ FIRST_STEP = 0.25  # of a node's longest edge: the first step that it is moved b
 LAST_STEP = 1e-3  # of that edge: the last
 GAIN = 1e-4  # SICN that a step has to gain: less may be rounding
 HALVINGS = 7  # halvings of a bend; what is still bad then is made straight
-ROUNDING = 1e-9  # of the size, by which middle nodes of straight edges may be off
+ROUNDING_OF_MIDDLE_NODES = 1e-9  # of the size, by which middle nodes of straight edges may be off
 
 # Directions to the faces, edges and corners of a cube (26, 3).
 _AROUND = np.array([way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)])
 _AROUND /= np.sqrt((_AROUND**2).sum(axis=1, keepdims=True))
 
-_SAMPLES = np.vstack([np.eye(4), np.eye(4)[np.array(EDGES)].mean(axis=1), np.full((1, 4), 0.25)])
+_SAMPLES = np.vstack(
+    [np.eye(4), np.eye(4)[np.array(GMSH_TETRAHEDRON)].mean(axis=1), np.full((1, 4), 0.25)]
+)
 
 
 class PoorCellsError(GeometryError):
@@ -41,7 +44,7 @@ def sicn(points: Floats, cells: Ints) -> Floats:
     """
     if cells.shape[1] == 4:
         return np.concatenate([_by_edges(*edges) for edges in edge_vectors(points, cells)])
-    return _by_edges(*tangents(points[cells], _SAMPLES, EDGES)).min(axis=1)
+    return _by_edges(*tangents(points[cells], _SAMPLES, GMSH_TETRAHEDRON)).min(axis=1)
 
 
 def _by_edges(a: Floats, b: Floats, c: Floats) -> Floats:
@@ -130,7 +133,7 @@ def check(
 
 def straightened(points: Floats, cells: Ints) -> Floats:
     """Points with the middle nodes of quadratic cells half-way between their vertices."""
-    first_corner, second_corner = np.array(EDGES).T
+    first_corner, second_corner = np.array(GMSH_TETRAHEDRON).T
     x = points.copy()
     x[cells[:, 4:]] = 0.5 * (points[cells[:, first_corner]] + points[cells[:, second_corner]])
     return x
@@ -139,7 +142,7 @@ def straightened(points: Floats, cells: Ints) -> Floats:
 def bent(points: Floats, cells: Ints) -> bool:
     """Return True if any edge of quadratic cells is curved by more than rounding."""
     deviation = np.abs(straightened(points, cells) - points)[cells].max()
-    return bool(deviation > ROUNDING * np.ptp(points, axis=0).max())
+    return bool(deviation > ROUNDING_OF_MIDDLE_NODES * np.ptp(points, axis=0).max())
 
 
 def untangle(points: Floats, cells: Ints, spared: float = 0.0) -> Floats:

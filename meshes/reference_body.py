@@ -21,7 +21,7 @@ from meshes.gmsh_session import elements, grade, nodes, session
 # Part of y that x is sheared by: mirrored cells would be cut by either diagonal equally well, and
 # rounding would decide.
 SHEAR = 0.03
-COARSER = 2.0  # size inside the core over its edges
+COARSENING_OF_CORE = 2.0  # size inside the core over its edges
 PRISM = 6  # gmsh's number of the type
 
 
@@ -69,7 +69,7 @@ def make(
     outline: Floats,
     through: Sequence[int],
     segments: Sequence[Segment],
-    coarser: float = COARSER,
+    coarser: float = COARSENING_OF_CORE,
     first: int = 1,
 ) -> ReferenceBody:
     """Mesh the body.

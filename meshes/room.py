@@ -22,7 +22,7 @@ from app.foundation.implant import Implant
 from meshes import femur_stem
 from meshes.cad_stem import CadStem
 from meshes.geometry import HipKeys
-from meshes.layered_surfaces import LEAST_CORTEX, SIDES
+from meshes.layered_surfaces import LEAST_CORTEX, SIDES_OF_STEM
 from meshes.layers import Sections
 from meshes.placement import LEAST_SHOULDER_DEPTH, CutPlane, Placement, Position
 
@@ -262,7 +262,7 @@ def fit(canal: WidestCanal, stem: StemSurface, placement: Placement) -> Fit:
     room = canal.room(x)
     narrowest = int(room.argmin())
     offset = placement.rotation[:, :2] @ points[narrowest, :2]
-    side = SIDES[round(8 * np.arctan2(offset[1], offset[0]) / (2 * np.pi)) % 8]
+    side = SIDES_OF_STEM[round(8 * np.arctan2(offset[1], offset[0]) / (2 * np.pi)) % 8]
     return Fit(float(room[narrowest]), x[narrowest], side)
 
 

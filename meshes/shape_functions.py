@@ -6,7 +6,8 @@ barycentric coordinates L of a point,
 .. math:: N_k = L_k (2 L_k - 1), \qquad N_{ij} = 4 L_i L_j ,
 
 and :math:`N_k = L_k` if the element is straight. Programs number the middles differently. So each
-function takes the edges, pairs of vertices, in the order of the middles; no edges: straight.
+function takes the edges, pairs of vertices, in the order of the mid-side nodes. No edges means a
+straight element.
 
 ====================  =======================  ================================================
 order                 middles                  elements

@@ -17,11 +17,12 @@ import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
 from meshes import reference_body
-from meshes.data import EDGES, cell_volumes, faces_of, match_faces
+from meshes.data import cell_volumes, faces_of, match_faces
 from meshes.layered_surfaces import LayeredSurfaces
-from meshes.layers import DIGITS, Nodes
+from meshes.layers import DIGITS_OF_NODES, Nodes
 from meshes.quality import check, relaxed_nodes, sicn, untangle
 from meshes.reference_body import ReferenceBody
+from meshes.shape_functions import GMSH_TETRAHEDRON
 
 # Least thickness of a layer, over the distance to the next line, and to the next section: where it
 # would be thinner it has none.
@@ -88,7 +89,7 @@ class Swept:
             "steps_along": sum(segment.steps for segment in surfaces.segments),
             "cells_through": list(surfaces.through),
             "least_thickness_mm": float(floors.min()) if len(floors) else 0.0,
-            "moved_nodes": float((moved_by > 10.0**-DIGITS).mean()),
+            "moved_nodes": float((moved_by > 10.0**-DIGITS_OF_NODES).mean()),
             "moved_max_mm": float(moved_by.max(initial=0.0)),
         }
 
@@ -164,7 +165,7 @@ def _split(surfaces: LayeredSurfaces, body: ReferenceBody, number: Ints) -> tupl
     edge = np.concatenate(
         [np.arange(lines) // len(body.rho) * len(body.rho), np.arange(lines, column_count)]
     )
-    x, y = np.round(body.section[edge].T, DIGITS)
+    x, y = np.round(body.section[edge].T, DIGITS_OF_NODES)
     round_ = -np.sign(x) * np.abs(y)
     ranks = [
         np.argsort(np.lexsort((np.arange(column_count), y, side * round_, side * x)))
@@ -292,7 +293,7 @@ def _grid(surfaces: LayeredSurfaces, body: ReferenceBody) -> tuple[Nodes, Ints]:
     nodes = _place(surfaces, nodes)
     x = nodes.x.reshape(levels, column_count, 3)
     x[:, around * per_line :] = np.round(
-        body.weights @ x[:, : around * per_line : per_line], DIGITS
+        body.weights @ x[:, : around * per_line : per_line], DIGITS_OF_NODES
     )
     number = np.arange(levels * column_count)
     number[~in_core] += (
@@ -323,7 +324,7 @@ def _place(surfaces: LayeredSurfaces, nodes: Nodes) -> Nodes:
     x, error = nodes.x.copy(), nodes.error.copy()
     x[on_line] = start + fraction[:, None] * (end - start)
     error[on_line] = np.where(merged, -gap, thickness - gap)
-    return replace(nodes, x=np.round(x, DIGITS), error=error)
+    return replace(nodes, x=np.round(x, DIGITS_OF_NODES), error=error)
 
 
 def _floor(surfaces: LayeredSurfaces, bone: Floats) -> Floats:
@@ -361,7 +362,7 @@ def _with_moved_core_nodes(swept_mesh: Swept) -> Swept:
     is_free = (nodes.rho == 0) & (lowest_region == highest_region)
     is_free[swept_mesh.facets[0]] = False
     return replace(
-        swept_mesh, nodes=replace(nodes, x=relaxed_nodes(nodes.x, cells, is_free, DIGITS))
+        swept_mesh, nodes=replace(nodes, x=relaxed_nodes(nodes.x, cells, is_free, DIGITS_OF_NODES))
     )
 
 
@@ -374,7 +375,7 @@ def _check(swept_mesh: Swept) -> None:
 
 def _curved(swept_mesh: Swept) -> Swept:
     """Give each edge a middle node on the surfaces; cells that bend too far are straightened."""
-    a, b = (swept_mesh.cells[:, k].ravel() for k in np.array(EDGES).T)
+    a, b = (swept_mesh.cells[:, k].ravel() for k in np.array(GMSH_TETRAHEDRON).T)
     n = len(swept_mesh.nodes)
     keys, middle_of_edge = np.unique(np.minimum(a, b) * n + np.maximum(a, b), return_inverse=True)
     middles = _middles(swept_mesh, keys // n, keys % n)

@@ -100,7 +100,7 @@ class Bearings(Record):
         self.bearings = {
             c.name: Bearing(problem, case, i)
             for i, c in enumerate(problem.scene.contacts)
-            if c.between
+            if c.slides_finitely
         }
         self.stage = ""
 
@@ -255,8 +255,7 @@ class Bearing:
         energy = self.master_amounts[:, 0, 0].sum()
         row = (phase - self.cycle_start, *torque, *centre, energy)
         self.cycle_rows.append([float(v) for v in row])
-        reversal = stage.reversal(time) if ends_increment else 0
-        if reversal and (reversal % 2 or stage.load_segments == stage.cycles):
+        if ends_increment and stage.is_peak(time):
             self.slave_amounts[:, 2] = dissipation_and_path - self.slave_amounts[:, 1]
             self.slave_amounts[:, 1] = dissipation_and_path
             self.master_amounts[:, 1] = self.master_amounts[:, 0]

@@ -30,7 +30,9 @@ class HeadCup(Shape):
 
     mesher: ClassVar[str] = "app.bearing.head_cup_mesh"
     has_curved_surfaces: ClassVar[bool] = True
-    faces: ClassVar[dict[str, tuple[str, str]]] = {"bearing": ("head_surface", "liner_inner")}
+    sliding_boundaries: ClassVar[dict[str, tuple[str, str]]] = {
+        "bearing": ("head_surface", "liner_inner")
+    }
     points: ClassVar[dict[str, Point3]] = {"head_centre": (0.0, 0.0, 0.0)}
 
     kind: Literal["head_cup"] = "head_cup"

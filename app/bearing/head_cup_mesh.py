@@ -89,7 +89,7 @@ def _cup(radii: tuple[float, ...], level: float, mesh: MeshKeys) -> Body:
 
 def _meshed(gmsh: ModuleType, radius: float, size: float, mesh: MeshKeys) -> Body:
     gmsh.model.occ.synchronize()
-    grade(gmsh, [f"(sqrt(x*x+y*y+z*z)-{radius})"], size, max(size, mesh.far))
+    grade(gmsh, [f"(sqrt(x*x+y*y+z*z)-{radius})"], size, max(size, mesh.far_size_or_default))
     return tetrahedra(gmsh, bool(mesh.curved))
 
 

@@ -39,7 +39,7 @@ from app.foundation.errors import EnvironmentProblem, InputError, StoppedError
 from app.schema import yaml_file
 from app.soundness import cost, memory
 from app.system import layout
-from app.system.folders import FAILED, claim, write_json, write_text
+from app.system.folders import FAILED_FILE, claim, write_json, write_text
 from app.system.layout import duration, several
 
 log = logging.getLogger("mantle")
@@ -217,7 +217,7 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
             case, output = folder / "cases" / f"{id}.yaml", folder / "runs" / id
             write_text(case, _text(runs))
             for r in runs:
-                (r.path / FAILED).unlink(missing_ok=True)
+                (r.path / FAILED_FILE).unlink(missing_ok=True)
                 if r.summary() is None:  # a run that a killed batch left may still be ending
                     (r.path / "DONE").unlink(missing_ok=True)
             for kind in ("ok", "slurm", "status"):

@@ -20,7 +20,7 @@ DOUBTFUL = 2.0
 # Deviation above which a number has missed its target [standard uncertainties].
 NOT_REACHED = 3.0
 # Change of a number over the range of a key below which it is rounding, relative to the number.
-ROUNDING = 1e-6
+ROUNDING_OF_CHANGES = 1e-6
 
 
 def verdicts(
@@ -139,7 +139,7 @@ def _of_influence(problem: FitProblem, derivatives: Floats, best_run: FitRun) ->
     for k, key in enumerate(problem.fit.keys):
         if (
             key != problem.fit.objective
-            and (largest_changes[:, k] <= ROUNDING * abs(best_run.array)).all()
+            and (largest_changes[:, k] <= ROUNDING_OF_CHANGES * abs(best_run.array)).all()
         ):
             statement = "has no influence on the numbers, so that its value is arbitrary"
             yield Verdict(statement, key, "leave this key out", Severity.WARNING)

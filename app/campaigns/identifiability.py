@@ -21,7 +21,7 @@ KNOWN_RANGE = 1 / math.sqrt(12)
 # Component of a direction above which the key belongs to the direction.
 LEAST_COMPONENT = 0.3
 # Rounding of singular values relative to the largest, and of components of directions.
-ROUNDING = 1e-9
+ROUNDING_OF_SENSITIVITIES = 1e-9
 
 
 @dataclass(frozen=True)
@@ -64,12 +64,14 @@ def identify(derivatives: Floats) -> Identifiability:
     keys = derivatives.shape[1]
     _, sizes, directions = np.linalg.svd(derivatives, full_matrices=True)
     sizes = np.append(sizes, np.zeros(keys - len(sizes)))
-    sizes[sizes < ROUNDING * sizes[0]] = 0.0
+    sizes[sizes < ROUNDING_OF_SENSITIVITIES * sizes[0]] = 0.0
     covariance = np.zeros((keys, keys))
     for size, direction in zip(sizes, directions, strict=True):
         if size:
             covariance += np.outer(direction, direction) / size**2
-    is_unknown = np.abs(directions[sizes == 0.0]).max(axis=0, initial=0.0) > ROUNDING
+    is_unknown = (
+        np.abs(directions[sizes == 0.0]).max(axis=0, initial=0.0) > ROUNDING_OF_SENSITIVITIES
+    )
     with np.errstate(invalid="ignore", divide="ignore"):
         deviations = np.sqrt(np.diag(covariance))
         correlation = covariance / np.outer(deviations, deviations)

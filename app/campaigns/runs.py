@@ -22,16 +22,16 @@ from app.foundation.errors import ConvergenceError, EnvironmentProblem, StoppedE
 from app.results.verdicts import reasons_not_to_use
 from app.soundness import cost, memory
 from app.system import identity
-from app.system.folders import FAILED, saved
+from app.system.folders import FAILED_FILE, saved
 
 # Prefix of the id of a run.
-CASE = "case-"
+PREFIX_OF_ID = "case-"
 # Prefix of the id of a process that several runs share.
 SHARED = "shared-"
 # Digits of a digest in an id.
-DIGITS = 10
+DIGITS_OF_ID = 10
 # Pattern of ids. Ids are checked because they become part of shell commands.
-NAMED = re.compile(rf"({SHARED}[0-9a-f]{{10}}-[0-9]+/)?{CASE}[0-9a-f]{{10}}", re.ASCII)
+NAMED = re.compile(rf"({SHARED}[0-9a-f]{{10}}-[0-9]+/)?{PREFIX_OF_ID}[0-9a-f]{{10}}", re.ASCII)
 # Number of lines of a log in a message.
 LOG_LINES = 12
 # Beginning of the line of a log that says why a run did not converge.
@@ -104,7 +104,7 @@ class BatchRun:
         """Return True if the run is done or has failed."""
         end_marks = (
             self.path / "DONE",
-            self.path / FAILED,
+            self.path / FAILED_FILE,
         )  # its process may continue with other runs
         return self.status() is not None or any(end_mark.exists() for end_mark in end_marks)
 
@@ -130,7 +130,7 @@ def runs_of(planned: Sequence[PlannedRun], folder: Path, cores: int | None) -> l
     ids: list[str] = []
     ids_by_matrix: dict[str, list[str]] = {}
     for run in planned:
-        id = CASE + _digest(_content(run.case), run)
+        id = PREFIX_OF_ID + _digest(_content(run.case), run)
         ids.append(id)
         first_run = unique.setdefault(id, run)
         needs_idle_machine = first_run.needs_idle_machine or run.needs_idle_machine
@@ -168,7 +168,7 @@ def _content(case: Case) -> str:
 def _begun(folder: Path) -> dict[str, Path]:
     """Directories of runs that are done or have saved their state, by id."""
     runs = folder / "runs"
-    directories = [*runs.glob(f"{SHARED}*/{CASE}*"), *runs.glob(f"{CASE}*")]
+    directories = [*runs.glob(f"{SHARED}*/{PREFIX_OF_ID}*"), *runs.glob(f"{PREFIX_OF_ID}*")]
     run_directories = [path for path in directories if NAMED.fullmatch(str(path.relative_to(runs)))]
     finished = {path.name: path for path in run_directories if (path / "DONE").exists()}
     return {path.name: path for path in run_directories if saved(path)} | finished
@@ -182,7 +182,7 @@ def _digest(case_text: str, run: PlannedRun) -> str:
         identity.text_of_versions(),
         run.case.geometry.content,
     ]
-    return hashlib.sha256("\0".join(digested_texts).encode()).hexdigest()[:DIGITS]
+    return hashlib.sha256("\0".join(digested_texts).encode()).hexdigest()[:DIGITS_OF_ID]
 
 
 def result_of(run: BatchRun, planned: PlannedRun | None = None, *, over: bool = True) -> Result:
@@ -207,7 +207,7 @@ def result_of(run: BatchRun, planned: PlannedRun | None = None, *, over: bool = 
         return result(StoppedError.exit_code, 0.0, {}, "")
     with suppress(OSError):
         # A process that continues with other runs writes the reason of a failure into its folder.
-        reasons = (run.path / FAILED).read_text(encoding="utf-8").strip()
+        reasons = (run.path / FAILED_FILE).read_text(encoding="utf-8").strip()
         return result(ConvergenceError.exit_code, 0.0, {}, reasons)
     message = tail(run.file("log"))
     if status is None:

@@ -56,7 +56,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     report = report_of_runs(study, [_study_run(result) for result in results])
     with batch.writable(options.folder):
         # An old picture would not match the new numbers.
-        folders.remove(options.folder / name for name in study_picture.NAMES)
+        folders.remove(options.folder / name for name in study_picture.PICTURE_FILES)
         description = {
             "mantle": __version__,
             "study": str(path),

@@ -19,7 +19,7 @@ from app.plots.figures import PNG
 from app.system.layout import percent
 
 # Files of errors against time, and of quantities over a number that varies.
-NAMES = ("study.png", "study_parameters.png")
+PICTURE_FILES = ("study.png", "study_parameters.png")
 # Largest number of panels in a picture.
 MOST_PANELS = 6
 # Entries of the legend in a row.
@@ -34,15 +34,21 @@ def draw(report: Report, folder: Path) -> list[str]:
     columns = 2 if len(compared) in (1, 2, 4) else 3
     panel_names = []
     if compared:
-        _draw(folder / NAMES[0], compared, partial(_against_time, report), columns, (5.2, 4.2))
-        panel_names.append(NAMES[0])
+        _draw(
+            folder / PICTURE_FILES[0], compared, partial(_against_time, report), columns, (5.2, 4.2)
+        )
+        panel_names.append(PICTURE_FILES[0])
     lines = varying_lines(report)
     if lines:
         shown_quantities = report.quantities[:MOST_PANELS]
         _draw(
-            folder / NAMES[1], shown_quantities, partial(_over_number, report, lines), 2, (4.6, 2.9)
+            folder / PICTURE_FILES[1],
+            shown_quantities,
+            partial(_over_number, report, lines),
+            2,
+            (4.6, 2.9),
         )
-        panel_names.append(NAMES[1])
+        panel_names.append(PICTURE_FILES[1])
     return panel_names
 
 
@@ -70,7 +76,7 @@ def _draw(
     for axes, m in zip(all_axes, shown_quantities, strict=True):
         figures.grid(axes)
         panel(axes, m)
-    figures.legend_below(figure, ENTRIES, last=curves.FAILED)
+    figures.legend_below(figure, ENTRIES, last=curves.FAILED_ENTRY)
     figure.draw_without_rendering()  # so that the axes have their final positions
     for axes in all_axes:
         labels.place_labels(axes)

@@ -14,7 +14,7 @@ from app.system.folders import csv_text, write_json, write_text
 from app.system.layout import duration, percent
 
 # Absolute exponent below which the error does not depend on the key.
-FLAT = 0.05
+FLAT_EXPONENT = 0.05
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def exponent_text(report: Report, m: Measured, line: str) -> str:
     cannot have this order.
     """
     p = m.exponents[line]
-    if p is None or abs(p) < FLAT:
+    if p is None or abs(p) < FLAT_EXPONENT:
         return ""
     first_run = next(r for r in report.runs if r.line == line)
     likely = first_run.key != "mesh.size" or 0.0 < round(p, 1) <= first_run.highest_order

@@ -16,7 +16,7 @@ from app.schema.units import NUMBER
 from app.system import layout
 
 # Fewest samples that define a spread.
-FEWEST = 3
+FEWEST_SAMPLES = 3
 # Fewest base samples for Sobol' indices.
 FEWEST_BASE = 8
 # Samples of the bootstrap for the confidence intervals of Sobol' indices.
@@ -92,7 +92,7 @@ def of_parts(
             base = _base_samples(of_part, samples)
             independent = list(chain.from_iterable(base_sample[:2] for base_sample in base))
         converged = [row for row in independent if not row["exit_code"]]
-        if len(converged) < FEWEST:
+        if len(converged) < FEWEST_SAMPLES:
             continue
         inputs = {}
         for key in samples.inputs:
@@ -266,7 +266,7 @@ def correlation(numbers: Sequence[float], inputs: Sequence[object]) -> float | N
 
 
 def rows_of_spread(part_spread: PartSpread) -> list[list[str]]:
-    """Return the rows of a part below `HEAD`, the most uncertain number first.
+    """Return the rows of a part below `HEAD_OF_SPREAD`, the most uncertain number first.
 
     Numbers that vary by rounding only are left out.
     """
@@ -293,7 +293,7 @@ def rows_of_spread(part_spread: PartSpread) -> list[list[str]]:
     return table_rows
 
 
-HEAD = (
+HEAD_OF_SPREAD = (
     "number",
     "unit",
     "mean",
@@ -331,7 +331,9 @@ def tables_of_spread(spreads: Mapping[str, PartSpread]) -> str:
     tables = []
     for part, part_spread in spreads.items():
         heading = f"{part or 'samples'}: {part_spread['samples']} samples"
-        tables.append(f"{heading}\n{layout.text_table(HEAD, rows_of_spread(part_spread))}")
+        tables.append(
+            f"{heading}\n{layout.text_table(HEAD_OF_SPREAD, rows_of_spread(part_spread))}"
+        )
         if part_spread.get("indices"):
             heading = (
                 f"{part or 'samples'}: Sobol' indices of {part_spread['base_samples']} base samples"

@@ -160,13 +160,13 @@ class Case(Section):
         return any(region.thermal is not None for region in self.regions.values())
 
     @property
-    def faces(self) -> dict[str, tuple[str, str]]:
+    def sliding_boundaries(self) -> dict[str, tuple[str, str]]:
         """Boundaries of the two sides of each interface with finite sliding, by name."""
         finitely_sliding = {
             name: law for name, law in self.interfaces.items() if law.finite_sliding
         }
         return {
-            n: law.sliding_boundaries or self.geometry.faces[n]
+            n: law.sliding_boundaries or self.geometry.sliding_boundaries[n]
             for n, law in finitely_sliding.items()
         }
 
@@ -339,7 +339,7 @@ def resolve(file: CaseFile, folder: Path) -> Case:
     case = _with_tissues(case, file.tissues)
     file.raise_all([*faults, *checks.cross_check(case)])
     if isinstance(case.geometry, MeshFile):
-        case = case.model_copy(update={"geometry": case.geometry.parted(case.faces)})
+        case = case.model_copy(update={"geometry": case.geometry.parted(case.sliding_boundaries)})
     laws = {name: case.interfaces.get(name, Bonded()) for name in case.geometry.interface_sides}
     mesh = case.mesh
     if mesh.curved is None:

@@ -21,7 +21,7 @@ from app.laws.loads import Load
 from app.laws.materials import Material
 from app.laws.motions import Motion
 from app.laws.supports import AnySupport
-from app.laws.values import ROUNDING
+from app.laws.values import ROUNDING_OF_HEIGHTS
 from app.schema.section import Section, did_you_mean
 from app.schema.yaml_file import Fault, Path, path_text
 
@@ -416,7 +416,7 @@ def _heights_on_stem(case: CaseParts) -> Iterable[Fault]:
                 yield Fault((*key, "above"), f"{low:g} mm is below the stem; {expected}")
         for path, heights in law.table_heights.items():
             for i, height in enumerate(heights):
-                if not 0.0 <= height <= length + ROUNDING:
+                if not 0.0 <= height <= length + ROUNDING_OF_HEIGHTS:
                     where = "below" if height < 0.0 else "above"
                     message = f"{height:g} mm is {where} the stem; {expected}"
                     yield Fault(("interfaces", name, *path, i), message)
@@ -457,13 +457,13 @@ def _sliding(case: CaseParts) -> Iterable[Fault]:
     moving_parts = [(("motions", n, "region"), m.region) for n, m in _valid(case.motions)]
     for name, law in _valid(case.interfaces):
         if law.finite_sliding:
-            faces = law.sliding_boundaries or case.geometry.faces.get(name)
-            if not faces:
+            boundaries = law.sliding_boundaries or case.geometry.sliding_boundaries.get(name)
+            if not boundaries:
                 message = "its sides share facets of the mesh; mesh the bodies separately, and set "
                 message += "`between` to two of "
                 message += ", ".join(case.geometry.boundary_names)
                 yield Fault(("interfaces", name, "sliding"), message)
-            moving_parts += [(("interfaces", name, "between"), face) for face in faces or ()]
+            moving_parts += [(("interfaces", name, "between"), face) for face in boundaries or ()]
     users = dict[tuple[str, str], str]()
     for path, part in moving_parts:
         user = users.get((path[0], part))

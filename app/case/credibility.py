@@ -103,7 +103,7 @@ FactorName = Literal[
     "result_uncertainty",
 ]
 
-FACTORS: dict[FactorName, CredibilityFactor] = {
+CREDIBILITY_FACTORS: dict[FactorName, CredibilityFactor] = {
     "software_quality_assurance": CredibilityFactor(
         CODE,
         "software quality assurance",

@@ -1,7 +1,7 @@
 """Texts of ``mantle explain``: keys, kinds, entries of the library and results by any word.
 
 A word is the path of a key, the name of a kind, or a name of the library. It may also be a part of
-the name of a result, or a term of the field (`WORDS`, the glossary of the manual).
+the name of a result, or a term of the field (`TARGETS_OF_TERMS`, the glossary of the manual).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ WITHOUT_MEANING = {"a", "an", "and", "at", "by", "for", "in", "of", "on", "or", 
 GLOSSARY = configs.FOLDER.parent / "docs" / "glossary.md"
 LOADS = "loads"
 # Terms of the field: the keys, kinds, results and options that they stand for, the first one first.
-WORDS: dict[str, tuple[str, ...]] = {
+TARGETS_OF_TERMS: dict[str, tuple[str, ...]] = {
     # Materials
     "e": ("regions.youngs_modulus",),
     "youngs_modulus": ("regions.youngs_modulus", "regions.axial_youngs_modulus"),
@@ -138,7 +138,11 @@ def explained(key: str = "", options: Mapping[str, str] | None = None) -> str:
         return _units()
     if not query:
         return "\n".join(
-            [*map(_line, key_sections()[0].keys), "", *map(library.listed, library.KINDS)]
+            [
+                *map(_line, key_sections()[0].keys),
+                "",
+                *map(library.listed, library.KINDS_OF_ENTRIES),
+            ]
         )
     typed_words = [word for word in key.split() if word.lower() not in WITHOUT_MEANING]
     explanations = _answers(query, options or {}) or _answers_to_all(typed_words)
@@ -158,9 +162,11 @@ def _answers(query: str, options: Mapping[str, str]) -> list[str]:
         options: Options of commands with their meanings.
     """
     word = re.sub("[ -]", "_", query.lower().replace("'", ""))
-    targets = WORDS.get(word, (query,))
+    targets = TARGETS_OF_TERMS.get(word, (query,))
     blocks = [block for target in targets for block in (*_keys(target), *_kind(target))]
-    library_lists = [library.listed(t).replace("`", "") for t in targets if t in library.KINDS]
+    library_lists = [
+        library.listed(t).replace("`", "") for t in targets if t in library.KINDS_OF_ENTRIES
+    ]
     blocks += library_lists
     library_entry = library.entries_as_text().get(query)
     if library_entry and not blocks:
@@ -200,7 +206,11 @@ def _answers_to_all(typed_words: Sequence[str]) -> list[str]:
 
 def _nearest(query: str, names: Iterable[str]) -> list[str]:
     """Keys, names and terms that are spelled like a word, the nearest first."""
-    known_names = [*names, *WORDS, *(re.sub(r"\.<name>|\[\]", "", k.path) for k in all_keys())]
+    known_names = [
+        *names,
+        *TARGETS_OF_TERMS,
+        *(re.sub(r"\.<name>|\[\]", "", k.path) for k in all_keys()),
+    ]
     name_of_word = {
         w: name for name in reversed(known_names) for w in (name, name.rpartition(".")[2])
     }
@@ -375,7 +385,7 @@ def _lines_with(word: str) -> Iterator[str]:
     def has_word(line: str) -> bool:
         return len(word) > 1 and pattern.search(line.replace("_", " ")) is not None
 
-    for kind in library.KINDS:
+    for kind in library.KINDS_OF_ENTRIES:
         yield from filter(has_word, library.listed(kind).splitlines()[1:])
     for name, line in _results().items():
         section, _, key = name.rpartition(".")

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from meshes.layered_surfaces import LayeredSurfaces
 
 MEDIAL = 24.747  # mm from the shaft's axis to the medial cortex, where the cut usually leaves it
-HEAD = (20.0, 100.0)  # mm: levels of the head's centre
+HEAD_LEVELS = (20.0, 100.0)  # mm: levels of the head's centre
 SHOULDER = 29.0  # mm: level of the stem's shoulder without `tip_z`
 # Levels in earlier versions without a key (mm).
 OLD_SECTION = 15.0
@@ -143,9 +143,12 @@ class _Femur(Hip):
             fail(f"{message}; leave it out", at=("canal_widening",))
         if not 0.0 <= self.resection.angle < math.pi / 2:
             fail("is not between 0 and 90 deg", at=("resection", "angle"))
-        if not HEAD[0] <= implant.head_height <= HEAD[1]:
+        if not HEAD_LEVELS[0] <= implant.head_height <= HEAD_LEVELS[1]:
             message = f"puts the head's centre at z = {implant.head_height:.3g} mm"
-            fail(f"{message}; expected {HEAD[0]:g} to {HEAD[1]:g} mm", at=("stem", "head_height"))
+            fail(
+                f"{message}; expected {HEAD_LEVELS[0]:g} to {HEAD_LEVELS[1]:g} mm",
+                at=("stem", "head_height"),
+            )
         if self.cut_height >= implant.head_height:
             message = (
                 f"puts the neck cut at z = {self.cut_height:.3g} mm on the shaft's axis, above"

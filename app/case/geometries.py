@@ -26,11 +26,11 @@ from app.schema.units import Angle, Number, PositiveLength, SizeVector
 __all__ = ["Block", "Blocks", "Cylinders", "Femur", "Geometry", "IntactFemur"]
 __all__ += ["MeshFile", "MeshOptions", "Sides"]
 
-# How long edges of cells may be (measured: beyond it gmsh fails or its cells are flat; rings of 20
-# and blocks of 25 are solved in `mantle stress`).
-ROUND = 2.0  # in radii
-THIN = 20.0  # in thicknesses of rings
-FLAT = 25.0  # in thicknesses of blocks
+# Longest edges of cells. Beyond them gmsh fails or its cells are flat (measured). Rings of 20 and
+# blocks of 25 are solved in `mantle stress`.
+LONGEST_EDGE_IN_RADII = 2.0  # in radii
+LONGEST_EDGE_IN_RINGS = 20.0  # in thicknesses of rings
+LONGEST_EDGE_IN_BLOCKS = 25.0  # in thicknesses of blocks
 
 
 class Block(Section):
@@ -98,7 +98,10 @@ class Blocks(Shape):
     @property
     def spans(self) -> dict[tuple[str | int, ...], tuple[float, float]]:
         """The edges of each block."""
-        return {("blocks", i, "size"): (min(b.size), FLAT) for i, b in enumerate(self.blocks)}
+        return {
+            ("blocks", i, "size"): (min(b.size), LONGEST_EDGE_IN_BLOCKS)
+            for i, b in enumerate(self.blocks)
+        }
 
     @property
     def interface_area(self) -> float:
@@ -171,10 +174,10 @@ class Cylinders(Shape):
         """Least radius of the stem, least thicknesses of the others, and the length."""
         rise = 0.5 * self.length * math.tan(abs(self.taper))
         return {
-            ("stem_radius",): (self.stem_radius - rise, ROUND),
-            ("cement_thickness",): (self.cement_thickness, THIN),
-            ("bone_thickness",): (self.bone_thickness - rise, THIN),
-            ("length",): (self.length, FLAT),
+            ("stem_radius",): (self.stem_radius - rise, LONGEST_EDGE_IN_RADII),
+            ("cement_thickness",): (self.cement_thickness, LONGEST_EDGE_IN_RINGS),
+            ("bone_thickness",): (self.bone_thickness - rise, LONGEST_EDGE_IN_RINGS),
+            ("length",): (self.length, LONGEST_EDGE_IN_BLOCKS),
         }
 
     @property

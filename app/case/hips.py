@@ -23,8 +23,8 @@ from app.case.shapes import (
 )
 from app.case.stems import Stem, StemFile
 from app.foundation.arrays import Bools, Floats
-from app.foundation.implant import FLAT, Implant
-from app.laws.values import ROUNDING
+from app.foundation.implant import LEAST_CELL_HEIGHT, Implant
+from app.laws.values import ROUNDING_OF_HEIGHTS
 from app.schema.section import Section, did_you_mean, fail, show
 from app.schema.units import Angle, Dimension, Length, PositiveLength
 from app.system import folders
@@ -324,8 +324,8 @@ class Hip(Shape):
     def on_flanks(self, x: Floats) -> Bools:
         """True at points (n, 3) that are neither on the stem's end nor on its shoulder (n,)."""
         implant, height = self.implant, self.height_on_stem(x)
-        is_on_flanks = (height >= implant.tip_height - ROUNDING) & (
-            height <= implant.length + ROUNDING
+        is_on_flanks = (height >= implant.tip_height - ROUNDING_OF_HEIGHTS) & (
+            height <= implant.length + ROUNDING_OF_HEIGHTS
         )
         return np.asarray(is_on_flanks)
 
@@ -336,13 +336,13 @@ class Hip(Shape):
         """
         if self.is_cemented or interface == ON_CUT:
             return np.zeros(len(x), dtype=bool)
-        return np.asarray(shoulder_level(self.implant, self.placement, x) <= ROUNDING)
+        return np.asarray(shoulder_level(self.implant, self.placement, x) <= ROUNDING_OF_HEIGHTS)
 
     def check_end(self) -> None:
         """Refuse a void below the stem that cannot be meshed."""
-        if 0.0 < self.void < FLAT:
+        if 0.0 < self.void < LEAST_CELL_HEIGHT:
             fail("must be 0 or at least 1 mm", at=("tip_void",))
-        if self.void and self.void > self.plug_length - FLAT:
+        if self.void and self.void > self.plug_length - LEAST_CELL_HEIGHT:
             message = (
                 f"{self.void:g} mm leaves less than 1 mm of plug_length, {self.plug_length:g} mm"
             )
@@ -466,7 +466,7 @@ class OperatedHip(Hip):
             reason = f"the end of the stem is flat above a void of {self.void:g} mm (tip_void)"
             keys["geometry", "stem", "tip_rounding"] = reason
         longest = max(step for _, step, _ in GRADING.values()) * mesh.step_along
-        if mesh.far >= longest:
+        if mesh.far_size_or_default >= longest:
             keys["mesh", "far_size"] = f"no step along a femur is longer than {longest:g} mm"
         return keys
 

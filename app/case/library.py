@@ -30,7 +30,7 @@ FOR_PEOPLE = (ABOUT, PER_DAY)
 SOURCE = "source"
 # Keys that go into the case with the values.
 ORIGIN = ("status", SOURCE)
-KINDS = {
+KINDS_OF_ENTRIES = {
     "materials": "a region takes one by `material: NAME`",
     "finishes": "a cohesive interface takes one by `finish: NAME`",
     "cycle_tables": "a motion, a load or all loads take one by `cycle_table: NAME`",
@@ -51,8 +51,8 @@ def read(path: Path = SHIPPED) -> CaseFile:
     file.data = with_present_names(file, file.data, (), FORMER_KEYS_OF_LIBRARIES)
     faults = []
     for kind, values_by_name in file.data.items():
-        if kind not in KINDS:
-            faults.append(Fault((kind,), f"unknown key; allowed: {', '.join(KINDS)}"))
+        if kind not in KINDS_OF_ENTRIES:
+            faults.append(Fault((kind,), f"unknown key; allowed: {', '.join(KINDS_OF_ENTRIES)}"))
         elif not isinstance(values_by_name, dict):
             faults.append(
                 Fault((kind,), f"{show(values_by_name)} is not a mapping of names to entries")
@@ -75,7 +75,7 @@ def listed(kind: str) -> str:
     entries = read().data[kind]
     width = max(map(len, entries), default=0)
     lines = [f"  {name:<{width}}  {entry.get(ABOUT, '')}" for name, entry in entries.items()]
-    return "\n".join([f"{kind}: {KINDS[kind]}", *lines])
+    return "\n".join([f"{kind}: {KINDS_OF_ENTRIES[kind]}", *lines])
 
 
 def entries_as_text() -> dict[str, str]:

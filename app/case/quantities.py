@@ -55,7 +55,7 @@ UNITS = {
     "-": "a number",
 }
 # Units of tables in terms of those of summary.json, and as printed.
-FACTORS = {"um": 1e3, "%": 100.0, "um/m": 1e6}
+FACTOR_OF_UNIT = {"um": 1e3, "%": 100.0, "um/m": 1e6}
 PRINTED = {"um": "µm", "degC": "°C", "deg": "°", "^2": "²", "^3": "³"}
 # Criteria of thermal necrosis of bone.
 NECROSIS = {
@@ -138,7 +138,7 @@ class Quantity:
     @property
     def factor(self) -> float:
         """Factor from `unit` to `shown`."""
-        return 1.0 if self.shown == self.unit else FACTORS[self.shown]
+        return 1.0 if self.shown == self.unit else FACTOR_OF_UNIT[self.shown]
 
     @property
     def names(self) -> list[str]:

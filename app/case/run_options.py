@@ -122,6 +122,20 @@ class Stage(Section):
         segments_done = self.load_segments * (time - math.ceil(time) + 1)
         return round(segments_done) if abs(segments_done - round(segments_done)) < 1e-6 else 0
 
+    @property
+    def has_valleys(self) -> bool:
+        """Return True if the loads go back to a valley. Loads of cycle tables have no valley."""
+        return self.load_segments > self.cycles
+
+    def is_valley(self, time: float) -> bool:
+        """Return True at an even reversal: a valley, if the stage has valleys."""
+        reversal = self.reversal(time)
+        return reversal > 0 and reversal % 2 == 0
+
+    def is_peak(self, time: float) -> bool:
+        """Return True at a peak of the loads; with cycle tables, at the end of each cycle."""
+        return self.reversal(time) > 0 and not (self.has_valleys and self.is_valley(time))
+
     def reached(self, fraction: float) -> float:
         """Applied fraction of the change at a fraction of the stage: 1 at the end and at peaks."""
         if self._repeats:

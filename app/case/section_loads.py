@@ -14,7 +14,7 @@ from app.system import layout
 # The highest level [mm], below the insertions at the greater trochanter.
 TOP = 25.0
 # Number of levels.
-LEVELS = 10
+LEVEL_COUNT = 10
 # Level of the knee [mm], 404 mm below the head; its centre is about on the axis of the shaft.
 KNEE = -350.0
 
@@ -52,7 +52,7 @@ def section_loads(case: Case, time: float) -> list[SectionLoad]:
     F = np.array([np.multiply(force, amplitude(history, time)) for history, force, _ in loads])
     x = np.array([point for *_, point in loads])
     sections = []
-    for z in [*map(float, np.linspace(TOP, geometry.level, LEVELS)), KNEE]:
+    for z in [*map(float, np.linspace(TOP, geometry.level, LEVEL_COUNT)), KNEE]:
         above = x[:, 2] > z
         force = F[above].sum(axis=0).tolist()
         moment = np.cross(x[above] - [0.0, 0.0, z], F[above]).sum(axis=0).tolist()

@@ -30,7 +30,7 @@ Sides = tuple[tuple[str, ...], tuple[str, ...]]
 
 # Constants of meshes and their defaults. The hash of a mesh in the cache does not contain them:
 # after a change of one, raise `MESHER_VERSION` in `meshes.cache`.
-LEAST = 1e-8  # size of a cell (mm), so that its powers do not underflow
+LEAST_CELL_SIZE = 1e-8  # size of a cell (mm), so that its powers do not underflow
 COUNTLESS = 1e40  # bound of the number of cells
 # Distance of lines around on a stem, over the size, in cement: pressure has ridges 1.5 to 3 mm wide
 # there. Without cement it is smoother: with 36 lines at 6 mm, and with 28 at 8 mm, motions are
@@ -220,7 +220,7 @@ class Shape(Extensible):
         return {}
 
     @property
-    def faces(self) -> dict[str, tuple[str, str]]:
+    def sliding_boundaries(self) -> dict[str, tuple[str, str]]:
         """Boundaries of the two sides of each interface that is meshed apart; none by default."""
         return {}
 
@@ -430,8 +430,8 @@ class MeshOptions(Section):
     at least 2."""
 
     @property
-    def far(self) -> float:
-        """Edge length far from the interfaces (mm)."""
+    def far_size_or_default(self) -> float:
+        """Edge length far from the interfaces (mm); by default four times `size`."""
         return 4.0 * self.size if self.far_size is None else self.far_size
 
     @property
@@ -497,7 +497,7 @@ class MeshOptions(Section):
             Distances from 0 where steps grow, and the number and size of equal steps after them.
         """
         first_size, largest_size, growth = GRADING[part]
-        largest = min(largest_size * self.step_along, self.far)
+        largest = min(largest_size * self.step_along, self.far_size_or_default)
         distances, step = [0.0], first_size * self.step_along
         while step < largest and distances[-1] + 0.5 * step < length:
             distances.append(distances[-1] + step)
@@ -515,7 +515,7 @@ class MeshOptions(Section):
         """
         changed_sizes: dict[str, float] = {
             "size": factor * self.size,
-            "far_size": factor * self.far,
+            "far_size": factor * self.far_size_or_default,
         }
         if self.along is not None:
             changed_sizes["along"] = factor * self.along
@@ -541,10 +541,16 @@ class MeshOptions(Section):
             fail(
                 "curved cells need second order; set `curved: false` or `order: 2`", at=("curved",)
             )
-        if 0.0 < self.size < LEAST:
-            fail(f"{self.size:g} mm is too small; expected at least {LEAST:g} mm", at=("size",))
-        if self.far < self.size:
-            fail(f"{self.far:g} mm is smaller than size, {self.size:g} mm", at=("far_size",))
+        if 0.0 < self.size < LEAST_CELL_SIZE:
+            fail(
+                f"{self.size:g} mm is too small; expected at least {LEAST_CELL_SIZE:g} mm",
+                at=("size",),
+            )
+        if self.far_size_or_default < self.size:
+            fail(
+                f"{self.far_size_or_default:g} mm is smaller than size, {self.size:g} mm",
+                at=("far_size",),
+            )
         return self
 
 
@@ -555,5 +561,5 @@ def graded_cells(area: float, volume: float, mesh: MeshOptions) -> int:
     constants are fitted to meshes of the femur. The result is at most that of a uniform mesh.
     """
     uniform = 8.5 * volume / mesh.size**3
-    graded = 8.0 * area / mesh.size**2 + 8.5 * volume / mesh.far**3
+    graded = 8.0 * area / mesh.size**2 + 8.5 * volume / mesh.far_size_or_default**3
     return max(6, round(min(uniform, graded, COUNTLESS)))

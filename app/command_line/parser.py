@@ -50,7 +50,7 @@ def _folder(text: str) -> Path:
 
 
 # Arguments of commands that read a case, of those that run many, and of suites.
-CASE = "case --set --allow-scripts"
+CASE_ARGUMENTS = "case --set --allow-scripts"
 MANY = "-o --cores --dry-run --slurm"
 SUITE = f"{MANY} -k --tier"
 # Each command: its help and its arguments.
@@ -61,18 +61,21 @@ COMMANDS = {
     ),
     "run": (
         "solve a case and write its results, with a page report.html",
-        f"{CASE} -o -n --force --restart --walltime --error --accuracy -v",
+        f"{CASE_ARGUMENTS} -o -n --force --restart --walltime --error --accuracy -v",
     ),
     "check": (
         "check and describe a case and estimate its size; solves nothing",
-        f"{CASE} --mesh -o",
+        f"{CASE_ARGUMENTS} --mesh -o",
     ),
-    "mesh": ("mesh a case and draw it, or write it for CalculiX (.inp)", f"{CASE} -o"),
+    "mesh": ("mesh a case and draw it, or write it for CalculiX (.inp)", f"{CASE_ARGUMENTS} -o"),
     "place": (
         "write a page for a browser, in which you place the stem of a hip by eye",
-        f"{CASE} -o",
+        f"{CASE_ARGUMENTS} -o",
     ),
-    "study": ("measure error against run time of a case on several meshes", f"{CASE} {SUITE}"),
+    "study": (
+        "measure error against run time of a case on several meshes",
+        f"{CASE_ARGUMENTS} {SUITE}",
+    ),
     "sweep": (
         "run many cases that vary one base case, and compare them",
         f"sweep --set --allow-scripts {MANY}",
@@ -252,7 +255,7 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
     ),
     "--schema": dict(action="store_true", help="print the JSON schema of case files, for editors"),
 }
-LONG = {"-o": "--output"}
+LONG_OPTIONS = {"-o": "--output"}
 # Commands whose output is no folder, with the word for it.
 WRITES = {"place": "FILE", "mesh": "PATH"}
 
@@ -325,7 +328,8 @@ def parser() -> argparse.ArgumentParser:
             elif argument == "--cores":
                 options = options | {"default": len(os.sched_getaffinity(0))}
             command.add_argument(
-                *[argument, LONG[argument]] if argument in LONG else [argument], **options
+                *[argument, LONG_OPTIONS[argument]] if argument in LONG_OPTIONS else [argument],
+                **options,
             )
     commands.choices[
         "run"

@@ -116,13 +116,13 @@ def _life_and_strength(summary: Summary) -> Iterable[Verdict]:
 
 
 # Cycles beyond which a life is not given as a number: no test of the laws was longer.
-LONGEST = 1e9
+LONGEST_LIFE = 1e9
 
 
 def _endurance(stem: str, numbers: Numbers) -> str:
     """Stress and life of a stem in its bench test."""
     lives = [
-        f"{cycles:.1e}" if cycles < LONGEST else f"more than {LONGEST:.0e}"
+        f"{cycles:.1e}" if cycles < LONGEST_LIFE else f"more than {LONGEST_LIFE:.0e}"
         for cycles in (numbers["life_median"], numbers["life_p05"])
     ]
     failing = numbers["failing"]

@@ -17,7 +17,7 @@ from app.case.case import Case
 from app.case.summary import Numbers
 from app.fatigue.laws import level_of, stem_test_of
 from app.foundation.arrays import Bools, Floats
-from app.laws.values import ROUNDING
+from app.laws.values import ROUNDING_OF_HEIGHTS
 from app.results.hip import facet_surface, nodal_displacements
 from app.results.percentiles import percentile
 from app.results.records import Record, RecordedModel
@@ -96,7 +96,7 @@ class PottedStem(Record):
         dofs = np.unique(problem.space.dofmap.list[cells][:, :4])
         x = problem.space.tabulate_dof_coordinates()[dofs]
         above = x[:, 2] - self._level
-        nodes_in_band = x[(above >= -ROUNDING) & (above <= self._test.band)]
+        nodes_in_band = x[(above >= -ROUNDING_OF_HEIGHTS) & (above <= self._test.band)]
         return np.concatenate(problem.comm.allgather(nodes_in_band))
 
     def _deflection(self) -> float:

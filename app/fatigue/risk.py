@@ -93,15 +93,11 @@ class CementRisk(Record):
 
         def record(step: LoadStep, trial: TrialState | None) -> None:
             stage = self._stages[math.ceil(step.time) - 1]
-            reversal = stage.reversal(step.time)
-            if (
-                self._fatigue
-                and reversal
-                and (reversal == stage.load_segments or reversal % 2 == 0)
-            ):
+            is_last = stage.reversal(step.time) == stage.load_segments
+            if self._fatigue and (is_last or stage.is_valley(step.time)):
                 stress = self._stresses.evaluate(self._fatigue_region).reshape(-1, 3, 3)
                 cycles = self._fatigue.spectrum.get(stage.name)
-                if reversal == stage.load_segments and cycles:
+                if is_last and cycles:
                     self._add(cycles, *tensions(stress, self.valley))
                 self.valley = stress
             on_step(step, trial)

@@ -110,7 +110,7 @@ def stack_needed(petsc: bool = True) -> Iterator[None]:
 # Packages of the program.
 PACKAGES = ("app", "configs", "forms", "mantle", "meshes")
 # Errors with different exit codes.
-KINDS = (
+KINDS_OF_ERRORS = (
     InputError,
     GeometryError,
     ConvergenceError,
@@ -122,7 +122,7 @@ KINDS = (
 
 def worst_error(codes: Iterable[int], message: str) -> MantleError:
     """Error with the highest of the exit codes of failed runs; unknown codes count as 70."""
-    kinds: dict[int, type[MantleError]] = {kind.exit_code: kind for kind in KINDS}
+    kinds: dict[int, type[MantleError]] = {kind.exit_code: kind for kind in KINDS_OF_ERRORS}
     worst_kind = max(
         (kinds.get(code, MantleError) for code in codes), key=lambda kind: kind.exit_code
     )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 NECK_ANGLES = (100.0, 145.0)  # range of the angle between neck and shaft (deg)
-FLAT = 1.0  # mm: a rounded end or a void that is shorter has flat cells
+LEAST_CELL_HEIGHT = 1.0  # mm: a rounded end or a void that is shorter has flat cells
 SECTION = ("half_width", "half_depth", "corner_radius")
 
 
@@ -92,7 +92,7 @@ class Implant:
         Args:
             cement: Least thickness of the mantle (mm); 0 without cement.
         """
-        if 0.0 < self.tip_rounding < FLAT:
+        if 0.0 < self.tip_rounding < LEAST_CELL_HEIGHT:
             yield "tip_rounding", "must be 0 or at least 1 mm"
         if not NECK_ANGLES[0] <= math.degrees(self.neck_angle) <= NECK_ANGLES[1]:
             yield "neck_angle", "is not between {:g} and {:g} deg".format(*NECK_ANGLES)

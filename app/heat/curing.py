@@ -30,7 +30,7 @@ from forms import cure as forms
 # any tolerance, but stages of a long step would overshoot the limit.
 UNREACTED = 1e-6
 # Degrees further than this from [0, 1] are not rounding errors.
-ROUNDING = 1e-12
+ROUNDING_OF_DEGREES = 1e-12
 # Relative difference up to which times count as equal.
 SAME_TIME = 1e-10
 # Below this degree errors count relative to the degree.
@@ -67,7 +67,7 @@ def are_admissible(degrees: Floats) -> bool:
 
     A stage of too long a time step may start from one that does not.
     """
-    return bool((np.abs(degrees - 0.5) <= 0.5 + ROUNDING).all())
+    return bool((np.abs(degrees - 0.5) <= 0.5 + ROUNDING_OF_DEGREES).all())
 
 
 class PrescribedKinetics:

@@ -50,7 +50,7 @@ from meshes.data import connected
 
 # Rounding error of a row in units of eps |diagonal| |temperature|: about the square root of its
 # number of entries.
-ROUNDING = 2.0
+ROUNDING_OF_HEAT_ROWS = 2.0
 # Tolerance of heat over the solver's tolerance. Errors of hundreds of solves add up in the balance
 # of heat, and temperatures stay between their bounds to 1e-9 of the range.
 RELATIVE_TOLERANCE = 1e-2
@@ -334,7 +334,9 @@ class ImplicitStep(System):
         local_squares = np.array([float(a @ a) for a in (*terms, *diagonal_terms)])
         norms = np.sqrt(np.array(self.comm.allreduce(local_squares, MPI.SUM)))
         scale = float(norms[: len(terms)].sum())
-        rounding = ROUNDING * float(np.finfo(float).eps) * float(norms[len(terms) :].sum())
+        rounding = (
+            ROUNDING_OF_HEAT_ROWS * float(np.finfo(float).eps) * float(norms[len(terms) :].sum())
+        )
         return [Measure(block_norm(list(f)), RELATIVE_TOLERANCE * scale, rounding, lasting=False)]
 
     def flows(self, x: Sequence[PETSc.Vec]) -> dict[str, float]:

@@ -27,7 +27,7 @@ from app.numerics.sparse import from_rows
 OUTSIDE_TOLERANCE = 1e-9
 NEAR_BOUND = 1e-5
 # Entries of a matrix and heat into nodes below this fraction of the largest are rounding.
-ROUNDING = 1e-12
+ROUNDING_OF_ENTRIES = 1e-12
 # Least span [K]: temperatures are no better than their rounding.
 SMALLEST_SPAN = 1.0
 SUBSET_PATTERN = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
@@ -81,8 +81,8 @@ class MaximumPrinciple:
         self._comm.Allreduce(MPI.IN_PLACE, global_extremes, MPI.MAX)
         below, above, cooling, heating = map(float, global_extremes)
         self.data_low, self.data_high = min(self.data_low, -below), max(self.data_high, above)
-        self.cooled = self.cooled or cooling > ROUNDING * heating
-        self.heated = self.heated or heating > ROUNDING * cooling
+        self.cooled = self.cooled or cooling > ROUNDING_OF_ENTRIES * heating
+        self.heated = self.heated or heating > ROUNDING_OF_ENTRIES * cooling
 
     def is_violated(self, T: Floats) -> bool:
         """Return True if a temperature of a body (b, n) [K] is out of bounds; collective."""
@@ -150,7 +150,7 @@ def _positive_entries(comm: MPI.Comm, K: PETSc.Mat) -> PETSc.Mat:
     start, columns, values = K.getValuesCSR()
     row = first_owned + np.repeat(np.arange(after_owned - first_owned), np.diff(start))
     largest = comm.allreduce(float(np.abs(values).max(initial=0.0)), MPI.MAX)
-    edge = (values > ROUNDING * largest) & (columns != row)
+    edge = (values > ROUNDING_OF_ENTRIES * largest) & (columns != row)
     count = np.bincount(row[edge] - first_owned, minlength=after_owned - first_owned)
     pointer = np.concatenate([[0], np.cumsum(count)])
     sizes = (after_owned - first_owned, after_owned - first_owned)

@@ -47,7 +47,7 @@ import numpy as np
 from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import InputError
 from app.interfaces.corners import (
-    ROUNDING,
+    ROUNDING_OF_JUMP_FACTORS,
     ContactPoints,
     ContactSurface,
     Corners,
@@ -171,7 +171,7 @@ def _entries(facets: InterfaceFacets, points: ContactPoints, signs: Floats) -> E
     """
     body, point = np.nonzero(signs.any(axis=2))
     blocks = projectors(points.axes[point], signs[body, point])
-    blocks[np.abs(blocks) < ROUNDING] = 0.0
+    blocks[np.abs(blocks) < ROUNDING_OF_JUMP_FACTORS] = 0.0
     node = points.dof[point]
     if facets.dofs.shape[1] == 6:
         edge_body, edge_node, edge_point, edge_blocks = _edge_moves(

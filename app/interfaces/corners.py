@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 # Factors of jumps below this are rounding errors.
-ROUNDING = 1e-12
+ROUNDING_OF_JUMP_FACTORS = 1e-12
 # Stands for the index of a support if the supports of a rigid region together prescribe a motion.
 BY_RIGID_REGION = np.iinfo(np.int64).max
 

@@ -22,7 +22,7 @@ from scipy.sparse.linalg import inv
 from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import InputError
 from app.interfaces.corners import (
-    ROUNDING,
+    ROUNDING_OF_JUMP_FACTORS,
     ContactPoints,
     ContactSurface,
     Dependence,
@@ -99,7 +99,9 @@ def transferred_areas(
 
         def is_admissible(p: Ints, prescribed_at_corner: Floats = prescribed_at_corner) -> Bools:
             """Mask of points without prescribed components that the corner does not have."""
-            is_within = np.abs(prescribed_projectors[p]) <= prescribed_at_corner + ROUNDING
+            is_within = (
+                np.abs(prescribed_projectors[p]) <= prescribed_at_corner + ROUNDING_OF_JUMP_FACTORS
+            )
             return np.asarray(is_within.all(axis=(1, 2)))
 
         neighbours = corners[triangle][corners[triangle] < point_count]
@@ -275,7 +277,7 @@ def _transformed(entries: Entries, inverse: csr_array) -> Entries:
         triplets = entries.value[is_of_body], (row.ravel(), entries.column[is_of_body])
         B = csr_array(triplets, shape=(len(dofs), inverse.shape[0]))
         product = (B @ inverse).tocoo()
-        is_nonzero = np.abs(product.data) > ROUNDING
+        is_nonzero = np.abs(product.data) > ROUNDING_OF_JUMP_FACTORS
         bodies.append(np.full(is_nonzero.sum(), body))
         rows.append(dofs[product.row[is_nonzero]])
         columns.append(product.col[is_nonzero].astype(np.int64))
@@ -315,7 +317,7 @@ def _inverse(G: csr_array, surface: ContactSurface, names: Sequence[str]) -> csr
     row = np.concatenate([unchanged, changed[inverse_part.row]])
     column = np.concatenate([unchanged, changed[inverse_part.col]])
     value = np.concatenate([np.ones(len(unchanged)), inverse_part.data])
-    is_nonzero = np.abs(value) > ROUNDING
+    is_nonzero = np.abs(value) > ROUNDING_OF_JUMP_FACTORS
     return csr_array((value[is_nonzero], (row[is_nonzero], column[is_nonzero])), shape=G.shape)
 
 

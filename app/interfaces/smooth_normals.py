@@ -47,7 +47,7 @@ LIKELY_MULTIPLE = 3.0
 # A larger slope is no error [rad].
 LARGEST_SLOPE = 0.01
 # Slopes below this are rounding errors [rad].
-ROUNDING = 1e-12
+ROUNDING_OF_SLOPES = 1e-12
 # Largest number of steps until slopes are rounding errors.
 MOST_STEPS = 20
 # Singular values below this fraction of the largest are zero.
@@ -216,13 +216,13 @@ def slid_along(x: Floats, normals: Floats, error: Floats, weight: Floats) -> Flo
     weight_fraction = weight / weight.sum()
     mean_error = float(np.sqrt(weight_fraction @ error**2))
     largest_slope = min(LIKELY_MULTIPLE * mean_error, LARGEST_SLOPE)
-    if largest_slope < ROUNDING or count < NODES_NEAR:
+    if largest_slope < ROUNDING_OF_SLOPES or count < NODES_NEAR:
         return normals
     offsets = (x - weight_fraction @ x) / (float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0)
     rotations = -np.cross(offsets[:, :, None], np.eye(3), axis=1)
     motions = np.concatenate([np.tile(np.eye(3), (count, 1, 1)), rotations], axis=2)
     gram = np.einsum("p,pik,pil->kl", weight_fraction, motions, motions)
-    scale = np.linalg.inv(np.linalg.cholesky(gram + ROUNDING * np.eye(6))).T
+    scale = np.linalg.inv(np.linalg.cholesky(gram + ROUNDING_OF_SLOPES * np.eye(6))).T
     adjusted, slide_count = normals, 0
     for step in range(MOST_STEPS):
         slopes = np.einsum("pi,pik->pk", adjusted, motions) @ scale
@@ -232,7 +232,7 @@ def slid_along(x: Floats, normals: Floats, error: Floats, weight: Floats) -> Flo
         )[1:]
         if not step:
             slide_count = int((sizes <= largest_slope).sum())
-        if not slide_count or sizes[-slide_count] <= ROUNDING:
+        if not slide_count or sizes[-slide_count] <= ROUNDING_OF_SLOPES:
             return adjusted
         sliding_motions = motions @ scale @ vectors[-slide_count:].T
         directions, singular_values, _ = np.linalg.svd(sliding_motions, full_matrices=False)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from app.foundation.arrays import Floats
 
 # Smaller densities of a law are taken as this [g/cm3].
-LEAST = 0.01
+LEAST_DENSITY = 0.01
 Table = tuple[tuple[float, float, float, float], ...]
 # Kind of density, and from which on [g/cm3] E = a + b rho^c: from, a [MPa], b [MPa], c.
 LAWS: dict[str, tuple[str, Table]] = {
@@ -59,7 +59,7 @@ def table_of(law: str | DensityLaw) -> tuple[str, Table]:
 
 def modulus_of_density(law: str | DensityLaw, density: ArrayLike) -> Floats:
     """Young's modulus [MPa] for densities [g/cm3] of the law's kind."""
-    rho = np.maximum(density, LEAST)
+    rho = np.maximum(density, LEAST_DENSITY)
     start, a, b, c = np.transpose(table_of(law)[1])
     k = np.maximum(np.searchsorted(start, rho) - 1, 0)
     return np.asarray(a[k] + b[k] * rho ** c[k])
@@ -68,7 +68,7 @@ def modulus_of_density(law: str | DensityLaw, density: ArrayLike) -> Floats:
 def density(law: str | DensityLaw, modulus: ArrayLike) -> Floats:
     """Density [g/cm3] for Young's moduli [MPa]; the law must increase."""
     start, a, b, c = np.transpose(table_of(law)[1])
-    k = np.maximum(np.searchsorted(a + b * np.maximum(start, LEAST) ** c, modulus) - 1, 0)
+    k = np.maximum(np.searchsorted(a + b * np.maximum(start, LEAST_DENSITY) ** c, modulus) - 1, 0)
     return np.asarray(((np.asarray(modulus) - a[k]) / b[k]) ** (1 / c[k]))
 
 

@@ -37,7 +37,9 @@ Status = Literal["measured", "assumed", "unverified"] | None
 Source = Text | None
 # Source of values that were not looked up.
 MEMORY = "from memory: check"
-ROUNDING = 1e-6  # mm: heights of the nodes of a mesh, which may be on the border of a zone
+ROUNDING_OF_HEIGHTS = (
+    1e-6  # mm: heights of the nodes of a mesh, which may be on the border of a zone
+)
 # Multipliers at the ends of the stages.
 LoadHistory = Annotated[tuple[Number, ...], ITEMS] | None
 # Pairs of seconds since the start of the run and multiplier.
@@ -202,7 +204,7 @@ def field(key: str, value: float | str | Field, mark: Varying | None = None) -> 
 
 def in_zone(above: float, below: float, heights: Floats) -> Bools:
     """True at heights on a stem between two others (n,) [mm], to rounding."""
-    return (heights >= above - ROUNDING) & (heights <= below + ROUNDING)
+    return (heights >= above - ROUNDING_OF_HEIGHTS) & (heights <= below + ROUNDING_OF_HEIGHTS)
 
 
 def amplitude(load_history: Sequence[float] | None, time: float) -> float:

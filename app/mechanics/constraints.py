@@ -29,9 +29,10 @@ from app.scene.scene import Scene
 # A motion of a rigid region is constrained if its supports resist it by more than this fraction of
 # the motion they resist most.
 HELD_RESISTANCE = 1e-9
-# In place of the number of a rigid region: a node moves freely, or follows others.
-FREE = -1
-FOLLOWS = -2
+# In place of the number of a rigid region: the node moves freely.
+FREE_NODE = -1
+# In place of the number of a rigid region: the node follows other nodes.
+FOLLOWING_NODE = -2
 
 
 def _support_of_dofs(body_forms: BodyForms, stage: int, frames: Frames | None) -> Ints:
@@ -149,7 +150,7 @@ class Constraints:
         x = space.tabulate_dof_coordinates()[:nodes]
         region = self._rigid_region_of(body_forms, nodes)
         moving = [r.region for r in scene.rigid] + [m.region for m in scene.driven]
-        free_nodes = np.flatnonzero(region == FREE)
+        free_nodes = np.flatnonzero(region == FREE_NODE)
         free_unknowns = 3 * len(free_nodes)
         unknowns = free_unknowns + (6 * len(moving) if comm.rank == 0 else 0)
         start, first_rigid = comm.exscan(unknowns) or 0, comm.bcast(free_unknowns)
@@ -158,7 +159,7 @@ class Constraints:
         oblique = np.zeros(nodes, dtype=bool)
         if frames:
             rows, frame_rows = frames.owned(space.dofmap.index_map)
-            axes[rows], oblique[rows] = frames.axes[frame_rows], region[rows] == FREE
+            axes[rows], oblique[rows] = frames.axes[frame_rows], region[rows] == FREE_NODE
 
         prescribed = _prescribed_values(scene, space, support_of, axes)
         self._set_free_nodes(
@@ -168,7 +169,7 @@ class Constraints:
             support_of[free_nodes],
             prescribed[:, free_nodes],
         )
-        reacting = (support_of >= 0) & (region == FREE)[:, None]
+        reacting = (support_of >= 0) & (region == FREE_NODE)[:, None]
         reacting[oblique] = reacting[oblique].any(axis=1, keepdims=True)
 
         # Entries of P by node and component: one, three with local axes, six in a rigid region.
@@ -223,16 +224,19 @@ class Constraints:
         self.modes[:, :free_unknowns] = modes.reshape(-1, 6).T
 
     def _rigid_region_of(self, body_forms: BodyForms, nodes: int) -> Ints:
-        """Rigid region or driven boundary of owned nodes by number, FREE or FOLLOWS (nodes,)."""
+        """Number of the rigid region or driven boundary of owned nodes (nodes,).
+
+        It is `FREE_NODE` or `FOLLOWING_NODE` for other nodes.
+        """
         scene, tagged, space = body_forms.scene, body_forms.tagged, body_forms.space
-        region = np.full(nodes, FREE, dtype=np.int64)
+        region = np.full(nodes, FREE_NODE, dtype=np.int64)
         for k, body in enumerate(scene.rigid):
             region[touched_nodes(space, cell_tags(tagged) == tagged.regions[body.region])] = k
         for k, motion in enumerate(scene.driven, len(scene.rigid)):
             driven_nodes = nodes_on(tagged, space, str(motion.boundary))
             region[driven_nodes[driven_nodes < nodes]] = k
         if self._followers:
-            region[self._followers.owned_followers] = FOLLOWS
+            region[self._followers.owned_followers] = FOLLOWING_NODE
         return region
 
     def _add_rigid(

@@ -30,7 +30,7 @@ NO_STRESS = 1e-12
 # Least exponent m.
 SMALLEST_M = 0.01
 # Most Newton iterations.
-ITERATIONS = 60
+MOST_NEWTON_ITERATIONS = 60
 # Their tolerance in log s.
 LOG_TOLERANCE = 1e-13
 # The stress s is at most this far below the trial stress, in log s.
@@ -153,7 +153,7 @@ class CreepState:
         e = np.maximum(self.strain, NO_STRAIN)
         log_trial, N = np.log(trial), np.log(N)
         y, lower, upper = log_trial, log_trial - LOWEST_LOG_STRESS, log_trial
-        for _ in range(ITERATIONS):
+        for _ in range(MOST_NEWTON_ITERATIONS):
             m, slope, τ, by_log_stress = self._hardening_time(y)
             w = N - τ
             g = np.logaddexp(0.0, w)

@@ -39,7 +39,7 @@ MORTAR_REACH = 0.1
 
 def finitely_sliding(scene: Scene) -> dict[int, Interface]:
     """Interfaces of a scene with finite sliding, by number."""
-    return {i: c for i, c in enumerate(scene.contacts) if c.between}
+    return {i: c for i, c in enumerate(scene.contacts) if c.slides_finitely}
 
 
 def refuse_motions(body_forms: BodyForms) -> None:

@@ -25,7 +25,7 @@ from app.scene.bodies import facets_by_body
 from app.scene.frames import frames_of
 
 # Rounding of K u in units of eps |diag(K) u|: about the root of the entries of a row.
-ROUNDING = 2.0
+ROUNDING_OF_STIFFNESS_ROWS = 2.0
 
 
 class Stiffness:
@@ -144,7 +144,7 @@ class Stiffness:
 
 def rounding(diagonal: PETSc.Vec, u: PETSc.Vec) -> float:
     """Rounding error of K u, from the terms of the diagonal."""
-    return ROUNDING * float(np.finfo(float).eps) * float((diagonal * u).norm())
+    return ROUNDING_OF_STIFFNESS_ROWS * float(np.finfo(float).eps) * float((diagonal * u).norm())
 
 
 def support_resistance(

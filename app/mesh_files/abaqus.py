@@ -26,11 +26,11 @@ from app.mesh_files.content import (
 from app.mesh_files.keywords import READ, Keyword, keywords
 
 # Types of elements: tetrahedra, triangles, and other volumes.
-SOLID = re.compile(r"D?C3D(4|10)[A-Z]*")
-FLAT = re.compile(r"(?:CPS|CPE|S|STRI|M3D|SFM3D|R3D|DS)(3|6|65)[A-Z]*")
+SOLID_ELEMENT = re.compile(r"D?C3D(4|10)[A-Z]*")
+FLAT_ELEMENT = re.compile(r"(?:CPS|CPE|S|STRI|M3D|SFM3D|R3D|DS)(3|6|65)[A-Z]*")
 OTHER = re.compile(r"\w*C3D\w*")
 # Corners of the faces of a tetrahedron.
-SIDES = {"S1": (0, 1, 2), "S2": (0, 3, 1), "S3": (1, 3, 2), "S4": (2, 3, 0)}
+CORNERS_OF_FACES = {"S1": (0, 1, 2), "S2": (0, 3, 1), "S3": (1, 3, 2), "S4": (2, 3, 0)}
 # Least sine of the angle between the two directions that a coordinate system is made of.
 ON_A_LINE = 1e-9
 # Most numbers of a range.
@@ -294,7 +294,7 @@ def _add_elements(
         kind = b.option("TYPE").upper()
         if "ELSET" in b.options:
             b.option("ELSET")
-        is_known = SOLID.fullmatch(kind) or FLAT.fullmatch(kind)
+        is_known = SOLID_ELEMENT.fullmatch(kind) or FLAT_ELEMENT.fullmatch(kind)
         if not is_known and OTHER.fullmatch(kind):
             raise ValueError(f"{b.place}: the cells are of type {kind}; {ONLY}")
         if not is_known:
@@ -304,7 +304,7 @@ def _add_elements(
         else:
             rows = b.table(int(is_known[1].replace("65", "6")) + 1)
             numbers = rows[:, 0]
-            if SOLID.fullmatch(kind):
+            if SOLID_ELEMENT.fullmatch(kind):
                 content.add(rows_of(node, rows[:, 1:], "node"))
                 solids.append(numbers)
             else:
@@ -397,9 +397,9 @@ def _facets(b: Keyword, content: FileContent, sets: _Sets, mesh: _Mesh) -> Ints:
         else:
             members = sets.get("ELSET", name, b.scope, b.place)
         solid = np.isin(mesh.element, members)
-        if side in SIDES:
+        if side in CORNERS_OF_FACES:
             rows = rows_of(mesh.element, members[np.isin(members, mesh.element)], "element")
-            facets.append(mesh.cells[rows][:, SIDES[side]])
+            facets.append(mesh.cells[rows][:, CORNERS_OF_FACES[side]])
             if len(rows) < len(members):
                 message = "surfaces with elements that are not tetrahedra of the file"
                 content.notes += left_out(message, [b.options["NAME"]])
@@ -407,7 +407,7 @@ def _facets(b: Keyword, content: FileContent, sets: _Sets, mesh: _Mesh) -> Ints:
             facets.append(mesh.shells_of(members))
         elif not side:
             facets.append(mesh.shells_of(members))
-            facets += [mesh.cells[solid][:, corners] for corners in SIDES.values()]
+            facets += [mesh.cells[solid][:, corners] for corners in CORNERS_OF_FACES.values()]
         else:
             raise ValueError(
                 f"{b.place}: line {line_number}: {side} is not a face of a"
@@ -451,7 +451,8 @@ def _name(content: FileContent, used_keywords: list[Keyword], sets: _Sets, mesh:
     regions = [key for key, members in solids.items() if len(members)]
     unused_sets = [k for k in regions if sections & {*regions} and k not in sections]
     content.notes += left_out(
-        "sets without *SOLID SECTION, which are not regions", [title[k] for k in unused_sets]
+        "sets without *SOLID SECTION, which are not regions",
+        [title[k] for k in unused_sets],
     )
     for key in regions:
         if key not in unused_sets:

@@ -39,8 +39,8 @@ TRIANGLES = {5: (3,), 22: (6,), 69: (3, 6)}
 TETRAHEDRA = {10: (4,), 24: (10,), 71: (4, 10)}
 SOLIDS = {*range(10, 17), 24, 25, 26, 27, 29, 32, 33, 42, *range(71, 75), *range(78, 82)}
 # Names of the most frequent other volumes.
-NAMES = {11: "voxels", 12: "hexahedra", 13: "wedges", 14: "pyramids"}
-NAMES |= {25: "quadratic hexahedra", 26: "quadratic wedges", 27: "quadratic pyramids"}
+OTHER_VOLUMES = {11: "voxels", 12: "hexahedra", 13: "wedges", 14: "pyramids"}
+OTHER_VOLUMES |= {25: "quadratic hexahedra", 26: "quadratic wedges", 27: "quadratic pyramids"}
 # Bit of ``vtkGhostType`` for a cell that is a copy of another piece's cell.
 DUPLICATE = 1
 # LZ4: a length of 15 in a token continues in the next bytes; the first byte below 255 ends it.
@@ -361,7 +361,7 @@ def _blocks(
                 yield CellBlock(dim, data, {n: v[rows] for n, v in arrays.items()})
             elif kind in SOLIDS:
                 raise ValueError(
-                    f"has {NAMES.get(kind, 'other volumes')} (VTK type {kind}); {ONLY}"
+                    f"has {OTHER_VOLUMES.get(kind, 'other volumes')} (VTK type {kind}); {ONLY}"
                 )
             else:
                 unread[kind] = unread.get(kind, 0) + len(rows)

@@ -36,7 +36,7 @@ MIXED |= {36: ("triangle_6", 6), 37: ("quadrilateral_8", 8), 38: ("tetrahedron_1
 MIXED |= {39: ("pyramid_13", 13), 40: ("wedge_15", 15), 41: ("wedge_18", 18)}
 MIXED |= {48: ("hexahedron_20", 20), 49: ("hexahedron_24", 24), 50: ("hexahedron_27", 27)}
 RUN = 4096  # most cells of one kind that are read at once
-KINDS = {"float": "f", "int": "i", "uint": "u", "char": "i", "uchar": "u"}
+KINDS_OF_NUMBERS = {"float": "f", "int": "i", "uint": "u", "char": "i", "uchar": "u"}
 ORDERS = {"big": ">", "little": "<", "native": "="}
 # References within the file, by names or positions; the last part of one to several parts.
 POINTER = re.compile(r"(xpointer|element)\((.*)\)")
@@ -191,11 +191,13 @@ class _File:
                 "Uniform array"
             )
         form = item.get("Format", "XML")
-        kind = KINDS.get((item.get("NumberType") or item.get("DataType") or "Float").lower())
+        kind = KINDS_OF_NUMBERS.get(
+            (item.get("NumberType") or item.get("DataType") or "Float").lower()
+        )
         if kind is None:
             raise ValueError(
                 f"{called} has the type {item.get('NumberType')}; expected one of "
-                f"{', '.join(KINDS)}"
+                f"{', '.join(KINDS_OF_NUMBERS)}"
             )
         if form == "XML":
             values = np.array(item_text.split(), dtype=float if kind == "f" else np.int64)

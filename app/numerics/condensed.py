@@ -52,8 +52,9 @@ from app.numerics.root_work import blas_threads, usable_cores, wait
 from app.numerics.substructures import Substructures, owned_rows, unknowns_of
 from app.numerics.system import MatrixFree, Measure, Reduced
 
-# Singular values of T, and parts of a row of B across its direction, that count as none.
-ROUNDING = 1e-10
+# Singular values of T below this are zero, and so are parts of a row of B across its direction,
+# relative to the row [-].
+ROUNDING_OF_SINGULAR_VALUES = 1e-10
 # Residual that a step may leave, relative to its right-hand side: with factors in single precision.
 SINGLE_TOLERANCE = 1e-2
 # The same with factors in double precision.
@@ -212,8 +213,8 @@ class Condensed:
         uB = u @ B
         b = np.einsum("pai,pai->pa", uB, u)
         off_direction = np.linalg.norm(uB - b[..., None] * u, axis=2)
-        is_eigenvector = (off_direction <= ROUNDING * np.abs(b)) & (b != 0)
-        is_direct = ((singular <= ROUNDING) & is_eigenvector).ravel()
+        is_eigenvector = (off_direction <= ROUNDING_OF_SINGULAR_VALUES * np.abs(b)) & (b != 0)
+        is_direct = ((singular <= ROUNDING_OF_SINGULAR_VALUES) & is_eigenvector).ravel()
         self._T, self._B, directions = _blocks(T), _blocks(B), _blocks(u)
         self._direct, self._coupled = directions[is_direct], directions[~is_direct]
         self._direct_stiffness = b.ravel()[is_direct]

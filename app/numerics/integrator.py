@@ -37,10 +37,10 @@ class Method:
 
     Attributes:
         name: Name in the case file.
-        a: Weights of the slopes in each stage (s, s), lower triangular, one value on the diagonal;
+        a: Weights of the rates in each stage (s, s), lower triangular, one value on the diagonal;
             the last row gives the new state.
         embedded: Weights (s,) of a method of lower order, whose difference estimates the error;
-            empty if the change of the slope since the last step does.
+            empty if the change of the rate since the last step does.
         order: Order of the method.
     """
 
@@ -81,58 +81,58 @@ METHODS = {m.name: m for m in (_SDIRK4, _BACKWARD_EULER)}
 
 
 @dataclass(frozen=True)
-class StageStep:
-    """A solved time step: state and rate of change at its end, and its estimated error."""
+class SolvedTimeStep:
+    """Outcome of a time step: state and rate of change at its end, and its estimated error."""
 
     state: State
     error: State
-    slope: State
+    rate: State
 
 
 def step(
-    method: Method, y: State, slope: State, dt: float, seconds: float, solve: Solve
-) -> StageStep | None:
+    method: Method, y: State, rate: State, dt: float, seconds: float, solve: Solve
+) -> SolvedTimeStep | None:
     """Advance a state by one step dt [s]; None if a stage could not be solved; collective.
 
-    ``y``, ``slope`` and ``seconds`` are state, rate of change and time [s] at the start.
+    ``y``, ``rate`` and ``seconds`` are state, rate of change and time [s] at the start.
     """
-    previous_slope, slopes, end = slope, list[State](), y
-    slopes_at = [(0.0, slope)]
+    previous_rate, rates, end = rate, list[State](), y
+    rates_at = [(0.0, rate)]
     for i, time_fraction in enumerate(method.c):
         weights = dt * method.a[i]
         h = float(weights[i])
-        start = _add(y, weights[:i], slopes)
+        start = _add(y, weights[:i], rates)
         solution = solve(
             start,
             h,
             seconds + time_fraction * dt,
-            _add(start, *_interpolated_slopes(slopes_at, time_fraction, h)),
+            _add(start, *_interpolated_rates(rates_at, time_fraction, h)),
         )
         if solution is None:
             return None
         end = solution
-        slope = _slope(start, end, h)
-        slopes.append(slope)
-        slopes_at.append((time_fraction, slope))
+        rate = _rate(start, end, h)
+        rates.append(rate)
+        rates_at.append((time_fraction, rate))
     zero = [np.zeros_like(part) for part in y]
     if len(method.embedded):
-        error = _add(zero, dt * (method.a[-1] - method.embedded), slopes)
+        error = _add(zero, dt * (method.a[-1] - method.embedded), rates)
     else:
-        error = _add(zero, np.array([dt / 2, -dt / 2]), [slope, previous_slope])
-    return StageStep(end, error, slope)
+        error = _add(zero, np.array([dt / 2, -dt / 2]), [rate, previous_rate])
+    return SolvedTimeStep(end, error, rate)
 
 
-def start_slope(y: State, seconds: float, shortest: float, solve: Solve) -> State | None:
+def start_rate(y: State, seconds: float, shortest: float, solve: Solve) -> State | None:
     """Rate of change of a state, from an implicit step much shorter than all time scales [s]."""
     solution = solve(y, shortest, seconds + shortest, y)
     if solution is None:
         return None
-    return _slope(y, solution, shortest)
+    return _rate(y, solution, shortest)
 
 
-def first_step(slope: State, norm: Norm, longest: float) -> float:
+def first_step(rate: State, norm: Norm, longest: float) -> float:
     """First step to try [s], in which the state changes by some hundred tolerances."""
-    return 100 / max(norm(slope), 100 / longest)
+    return 100 / max(norm(rate), 100 / longest)
 
 
 class Controller:
@@ -189,31 +189,31 @@ class Controller:
         self.next_step = dt / 2
 
 
-def _interpolated_slopes(
-    slopes_at: Sequence[tuple[float, State]], time_fraction: float, h: float
+def _interpolated_rates(
+    rates_at: Sequence[tuple[float, State]], time_fraction: float, h: float
 ) -> tuple[Floats, Sequence[State]]:
-    """Weights of slopes in a step of length h [s] at c: on the line through the two nearest.
+    """Weights of rates in a step of length h [s] at c: on the line through the two nearest.
 
-    ``slopes_at`` are times, as fractions of the step, and the slopes there.
+    ``rates_at`` are times, as fractions of the step, and the rates there.
     """
-    nearest = sorted(slopes_at, key=lambda k: abs(k[0] - time_fraction))[:2]
-    slopes = [slope for _, slope in nearest]
+    nearest = sorted(rates_at, key=lambda k: abs(k[0] - time_fraction))[:2]
+    rates = [rate for _, rate in nearest]
     if len(nearest) < 2:
-        return np.array([h]), slopes
+        return np.array([h]), rates
     (a, _), (b, _) = nearest
     weights: Floats = np.array([time_fraction - b, a - time_fraction], dtype=np.float64) * (
         h / (a - b)
     )
-    return weights, slopes
+    return weights, rates
 
 
-def _slope(start: State, end: State, h: float) -> State:
+def _rate(start: State, end: State, h: float) -> State:
     return [np.divide(b - a, h) for a, b in zip(start, end, strict=True)]
 
 
-def _add(y: State, weights: Floats, slopes: Sequence[State]) -> State:
+def _add(y: State, weights: Floats, rates: Sequence[State]) -> State:
     sums = [part.copy() for part in y]
-    for w, k in zip(weights, slopes, strict=True):
+    for w, k in zip(weights, rates, strict=True):
         for total, part in zip(sums, k, strict=True):
             total += w * part
     return sums

@@ -18,7 +18,7 @@ from app.patient.welding import Welded
 from meshes.data import connected
 from meshes.plane_sections import lines_at_height
 
-UNITS = {"mm": 1.0, "m": 1000.0, "cm": 10.0, "inch": 25.4}
+LENGTH_UNITS = {"mm": 1.0, "m": 1000.0, "cm": 10.0, "inch": 25.4}
 EXTENT = (65.0, 600.0)  # mm that a femur, or a proximal part of one, is long
 LEAST_CANAL = 20.0  # mm that a part of a canal is long
 MOST_TRIANGLES = 400_000  # number of triangles above which surfaces are thinned
@@ -104,10 +104,10 @@ def read(
         raise GeometryError(f"{path}: its coordinates reach {reach}; is the file damaged?")
     extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
     fitting_units = [
-        name for name, scale in UNITS.items() if least_length <= extent * scale <= EXTENT[1]
+        name for name, scale in LENGTH_UNITS.items() if least_length <= extent * scale <= EXTENT[1]
     ]
     if unit not in (None, *fitting_units) or not (unit or len(fitting_units) == 1):
-        content, remedy = "", f"set its unit to {' or '.join(fitting_units or UNITS)}"
+        content, remedy = "", f"set its unit to {' or '.join(fitting_units or LENGTH_UNITS)}"
         if label is not None:
             content, remedy = f"label {label} ", "give the label of the femur"
             if fitting_units:
@@ -119,7 +119,7 @@ def read(
         )
     if unit is None:
         notes = [*notes, f"unit: {fitting_units[0]}, as the surface is {extent:.4g} long"]
-    corners = corners * UNITS[unit or fitting_units[0]]
+    corners = corners * LENGTH_UNITS[unit or fitting_units[0]]
     farthest = float(np.abs(corners).max())
     if farthest > FARTHEST:
         fault = f"its coordinates reach {farthest:.0e} mm, where single precision is too coarse"

@@ -10,7 +10,7 @@ from pydantic import model_validator
 
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
-from app.laws.densities import LEAST, Law, ModulusField, modulus_of_density, table_of
+from app.laws.densities import LEAST_DENSITY, Law, ModulusField, modulus_of_density, table_of
 from app.patient.geometry import ImageFile, Patient
 from app.schema.section import Section, Text, fail
 from app.schema.units import Dimension
@@ -78,7 +78,7 @@ class ImageModulus(ModulusField):
             )
         self.__dict__["sha256"] = image.sha256
         if not self.modulus_of(-1e9) > 0.0:
-            fail(f"gives no positive modulus at {LEAST} g/cm3", at=("law",))
+            fail(f"gives no positive modulus at {LEAST_DENSITY} g/cm3", at=("law",))
         if not SOFTEST < self.largest < STIFFEST:
             number = image.percentile_99_9
             fault = f"the largest CT number, {number:g}, gives E = {self.largest / 1e3:.2g} GPa"

@@ -29,7 +29,7 @@ MANY_LABELS = 20
 # Structures that a message lists.
 LISTED = 8
 ENDINGS = (".nii.gz", ".nii", ".seg.nrrd", ".nrrd", ".nhdr", ".npz", ".dcm")
-SIDES = ("left", "right")
+SIDES_OF_BODY = ("left", "right")
 FEMUR = re.compile(r"femur|femoral|thigh ?bone|oberschenkelknochen", re.IGNORECASE)
 NO_FEMUR = re.compile(r"artery|vein|nerve|muscle|cartilage|canal|marrow|medull", re.IGNORECASE)
 CANAL = re.compile(r"canal|marrow|medull|cavity|intramedull", re.IGNORECASE)
@@ -56,7 +56,9 @@ class Structure:
         """Side by the name; None: the name has no side."""
         separated = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", self.name)  # LeftFemur
         words = re.split(r"[^a-z]+", separated.lower())
-        sides = {side for side in SIDES if side in words or (side[0] in words and len(words) > 1)}
+        sides = {
+            side for side in SIDES_OF_BODY if side in words or (side[0] in words and len(words) > 1)
+        }
         return sides.pop() if len(sides) == 1 else None
 
     @property
@@ -174,7 +176,9 @@ def femur_structure(path: Path, side: str | None, label: str | None) -> Structur
         femora = [s for s in femora if s.side == side] or femora
     if len(femora) > 1:
         sides = {s.side for s in femora}
-        remedy = "--side left or --side right" if sides == {*SIDES} else "--label NAME or NUMBER"
+        remedy = (
+            "--side left or --side right" if sides == {*SIDES_OF_BODY} else "--label NAME or NUMBER"
+        )
         raise InputError(
             f"{path}: has {len(femora)} femora: {_list(femora)}; choose one with {remedy}"
         )

@@ -137,14 +137,15 @@ class CanalWidth:
 
     Attributes:
         narrowing: Width of the parametric canal relative to its width at the end.
-        adapted: Factor to that width from `ADAPTATION_LENGTH` below the end on [-].
+        adaptation_factor: Factor on `narrowing` below `ADAPTATION_LENGTH` under the end; 1 at the
+            end [-].
         isthmus: Mean width of the canal where it is narrowest [mm].
-        is_assumed: True if the scan ends above the isthmus.
+        is_assumed: True if the isthmus is not in the scan, so that its width is assumed or given.
         wall: Radii of canal and bone at the end in the directions `THETA` (2, n) [mm].
     """
 
     narrowing: Narrowing
-    adapted: float
+    adaptation_factor: float
     isthmus: float
     is_assumed: bool
     wall: Floats
@@ -152,7 +153,9 @@ class CanalWidth:
     def __call__(self, z: Floats) -> Floats:
         """Return the width at levels [-]."""
         adapted_fraction = np.clip((self.narrowing.end - z) / ADAPTATION_LENGTH, 0.0, 1.0)
-        return np.asarray(self.narrowing(z) * (1.0 + adapted_fraction * (self.adapted - 1.0)))
+        return np.asarray(
+            self.narrowing(z) * (1.0 + adapted_fraction * (self.adaptation_factor - 1.0))
+        )
 
 
 Width = Callable[[Floats], Floats]
@@ -168,7 +171,7 @@ class Continuation:
         slope: Change of the centroid with the level (2,) [-].
         low: Level at which it ends [mm].
         width: Width at a level over that at the end, of the bone.
-        canal: Width of the canal; None: no canal ends with the scan.
+        canal: Width of the canal; None if the scan has no canal at its end.
         scan_end: Lowest level of the scanned surface [mm]; its edge, up to `end`, is not used.
     """
 
@@ -253,9 +256,9 @@ def canal_width(
 ) -> CanalWidth:
     """Return the width of a canal below the end of a scan.
 
-    A canal's width in the metaphysis is a poor estimate of its width at the isthmus. The more of
-    the shaft between its top and `CONE_END` is measured, the more the ratio of canal and bone at
-    the end counts against that of the parametric femur.
+    A canal's width in the metaphysis is a poor estimate of its width at the isthmus. So the ratio
+    of canal and bone at the end is weighted against the ratio of the parametric femur. Its weight
+    is the measured fraction of the shaft between its top and `CONE_END`.
 
     Args:
         bone: The bone, in the model's axes.
@@ -277,14 +280,16 @@ def canal_width(
     )
     excess = (width_at_end / bone_width) / (parametric_canal / parametric_bone)
     measured_fraction = float(np.clip((shaft_top - end) / (shaft_top - CONE_END * size), 0.0, 1.0))
-    adapted = (1.0 + measured_fraction * (excess - 1.0)) / excess
+    adaptation_factor = (1.0 + measured_fraction * (excess - 1.0)) / excess
     narrowed_width = width_at_end * float(inner(isthmus_level))
     is_assumed = end > ISTHMUS * size
     if isthmus is not None and is_assumed:
-        adapted = isthmus / narrowed_width
+        adaptation_factor = isthmus / narrowed_width
         _check_isthmus(isthmus, bone_width * float(outer(isthmus_level)))
     wall = np.array([exits(surface.level(end) - centre, THETA)[0] for surface in (canal, bone)])
-    return CanalWidth(inner, adapted, adapted * narrowed_width, is_assumed, wall)
+    return CanalWidth(
+        inner, adaptation_factor, adaptation_factor * narrowed_width, is_assumed, wall
+    )
 
 
 def _check_isthmus(isthmus: float, bone_width: float) -> None:

@@ -17,9 +17,10 @@ from meshes.data import connected
 
 Polygon = Sequence[int]
 
-# Nearer corners are one [mm], and the same as a part of the largest coordinate.
+# Corners at a smaller distance are merged [mm].
 WELD_DISTANCE = 1e-4
-ROUNDING = 4 * float(np.finfo(np.float32).eps)
+# Corners at a smaller distance are merged, as a fraction of the largest coordinate [-].
+ROUNDING_OF_CORNERS = 4 * float(np.finfo(np.float32).eps)
 SHORT_PERCENTILE = 1.0  # percentile of the lengths of edges that counts as a short edge
 # Nearer corners of open edges are one, too: as a part of a short edge, and at most [mm].
 WIDER_PART = 0.1
@@ -48,7 +49,7 @@ def weld(corners: Floats) -> Welded:
     """Return the surface of triangles with corners (m, 3, 3) [mm]."""
     all_corners = corners.reshape(-1, 3)
     points, point_of_corner = np.unique(all_corners, axis=0, return_inverse=True)
-    distance = max(WELD_DISTANCE, ROUNDING * float(np.abs(all_corners).max(initial=0.0)))
+    distance = max(WELD_DISTANCE, ROUNDING_OF_CORNERS * float(np.abs(all_corners).max(initial=0.0)))
     cluster_of_point = _clusters(points, distance)
     points, point_of_corner = (
         _means(points, cluster_of_point),

@@ -25,23 +25,23 @@ DECADE = 12.0
 # Largest over smallest value from which an axis may be logarithmic although values vanish.
 DECADES = 30.0
 # Values smaller than the largest by this factor are zero to rounding.
-ROUNDING = 1e-9
+ROUNDING_OF_DRAWN_VALUES = 1e-9
 # Entry of the legend of crosses.
-FAILED = "failed"
+FAILED_ENTRY = "failed"
 # Values below which a quantity in this unit is zero to rounding.
 ROUNDED = {"µm": 1e-6, "MPa": 1e-8}
 # Unit of an axis that need not contain zero.
 CELSIUS = "°C"
 # Shift between lines with error bars, as a fraction of the range of x.
-APART = 0.012
+SPACE_OF_CURVES = 0.012
 # Most values of x that are all written at the axis.
 TICKS = 8
 # Letters of legend entries that fit below a panel.
 LETTERS = 47
 # Letters of a line of a title in a page.
 TITLE = 46
-# Points of a line in a page.
-MOST = 400
+# Largest number of points of a line in a page.
+MOST_POINTS = 400
 # Resolution of a picture [dots per inch].
 DPI = 120
 
@@ -142,7 +142,7 @@ def draw_panel(axes: Axes, panel: Panel) -> None:
     # Side by side, so that bars of equal numbers can both be seen.
     styles = sorted({line.style for line in panel.lines})
     has_errors = any(map(any, (line.errors for line in panel.lines)))
-    spacing = APART * (abscissas[-1] - abscissas[0]) if has_errors else 0.0
+    spacing = SPACE_OF_CURVES * (abscissas[-1] - abscissas[0]) if has_errors else 0.0
     for line in panel.lines:
         shift = spacing * (styles.index(line.style) - 0.5 * (len(styles) - 1))
         draw_line(axes, line, shift)
@@ -275,7 +275,7 @@ def _points(line: Line) -> list[tuple[float, float, float]]:
 
 def sparse(items: Sequence[T]) -> Sequence[T]:
     """Return the first, the last and every n-th item between, so that a page stays small."""
-    n = -(-len(items) // MOST)
+    n = -(-len(items) // MOST_POINTS)
     return items if n < 2 else [*items[:-1:n], items[-1]]
 
 
@@ -305,7 +305,7 @@ def crosses(axes: Axes, x: Sequence[float], k: int, height: float) -> None:
         color=figures.colour(k),
         ms=8.5,
         mew=2.1,
-        label=FAILED if len(x) else None,
+        label=FAILED_ENTRY if len(x) else None,
         zorder=5,
     )
 
@@ -339,8 +339,12 @@ def remark(axes: Axes, text: str) -> None:
 def span_decades(axes: Axes, values: Sequence[float]) -> None:
     """Make the axis logarithmic where values span decades; zero to rounding is drawn at zero."""
     largest = max(map(abs, values), default=0.0)
-    positive = [v for v in values if v > ROUNDING * largest]
-    if not positive or min(values) < -ROUNDING * largest or largest < DECADES * min(positive):
+    positive = [v for v in values if v > ROUNDING_OF_DRAWN_VALUES * largest]
+    if (
+        not positive
+        or min(values) < -ROUNDING_OF_DRAWN_VALUES * largest
+        or largest < DECADES * min(positive)
+    ):
         return
     if len(positive) == len(values):
         axes.set_yscale("log")

@@ -21,7 +21,7 @@ MARKERS = "osD^vP*X"
 # Colour maps: of values from zero, of loads and damage, of temperature, of values with a sign.
 SEQUENTIAL = "YlGnBu"
 LOADED = "YlOrRd"
-HEAT = "inferno"
+HEAT_COLOURS = "inferno"
 SIGNED = "RdBu"
 # Formats of a picture: for pages, for editing, and for papers.
 SUFFIXES = (".png", ".svg", ".pdf")

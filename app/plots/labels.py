@@ -12,7 +12,7 @@ from matplotlib.transforms import Bbox
 from app.plots import figures
 
 # Sides of a point where its label may stand, the best first: to the right and above is (1, 1).
-SIDES = ((1, 1), (1, -1), (-1, -1), (-1, 1), (0, 1), (0, -1), (1, 0), (-1, 0))
+LABEL_SIDES = ((1, 1), (1, -1), (-1, -1), (-1, 1), (0, 1), (0, -1), (1, 0), (-1, 0))
 # Horizontal alignment of a label by its side: 0, 1 or -1.
 H_ALIGN = ("center", "left", "right")
 # Vertical alignment.
@@ -53,7 +53,7 @@ def place_labels(axes: Axes) -> None:
         taken_boxes.append(Bbox.from_extents(*(centre - MARKER), *(centre + MARKER)))
     for point_label in labels:
         candidates = []
-        for side, (x, y) in enumerate(SIDES):
+        for side, (x, y) in enumerate(LABEL_SIDES):
             point_label.set(position=(OFFSET * x, OFFSET * y), ha=H_ALIGN[x], va=V_ALIGN[y])
             box = point_label.get_window_extent()
             outside = len(box.corners()) - axes.bbox.count_contains(box.corners())
@@ -61,7 +61,7 @@ def place_labels(axes: Axes) -> None:
             candidates.append((box.count_overlaps(taken_boxes) + outside, crossed, side, box))
         # Fewest overlaps, then fewest crossed curves, then the preferred side.
         overlaps, _, side, box = min(candidates)
-        x, y = SIDES[side]
+        x, y = LABEL_SIDES[side]
         position = (OFFSET * x, OFFSET * y)
         point_label.set(position=position, ha=H_ALIGN[x], va=V_ALIGN[y], visible=not overlaps)
         taken_boxes.append(box)

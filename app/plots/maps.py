@@ -16,7 +16,7 @@ from app.foundation.arrays import Bools, Floats
 # Pixels of a shaded surface along both axes.
 PIXELS = 500
 # Decimals to which the places of equal corners agree [mm or degrees].
-DIGITS = 6
+DIGITS_OF_CORNERS = 6
 
 
 class Interpolation:
@@ -38,7 +38,7 @@ class Interpolation:
         doubled_area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
         has_area = np.abs(doubled_area) > 1e-9
         self.corners = np.where(doubled_area[:, None, None] < 0, x[:, ::-1], x)[has_area]
-        corner_places = np.round(x[has_area].reshape(-1, 2), DIGITS)
+        corner_places = np.round(x[has_area].reshape(-1, 2), DIGITS_OF_CORNERS)
         self.places, first_rows = np.unique(corner_places, axis=0, return_index=True)
         edges = self.corners - np.roll(self.corners, 1, axis=1)
         self.unit = np.abs(edges).mean(axis=(0, 1))

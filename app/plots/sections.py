@@ -20,8 +20,9 @@ from app.foundation.arrays import Floats, Ints
 from app.plots import figures
 from app.plots.figures import PNG
 from app.plots.maps import joined
-from meshes.data import EDGES, MeshData, interface_facets, nodes_of_boundary_facets
+from meshes.data import MeshData, interface_facets, nodes_of_boundary_facets
 from meshes.nearest_facets import distance_from_triangles, triangles
+from meshes.shape_functions import GMSH_TETRAHEDRON
 
 # The straight cells that share the nodes of a curved one: four at its corners, and four around a
 # diagonal.
@@ -62,7 +63,7 @@ PLUG = "0.85"
 # Colour of the edges of facets on cortical bone.
 CORTEX = "#d62728"
 # Edges cut by a plane, in order around the section, by the signs of the four vertices: bit v is
-# set where vertex v is on the positive side. Edges are numbered as in data.EDGES.
+# set where vertex v is on the positive side. Edges are numbered as in GMSH_TETRAHEDRON.
 _RINGS = {
     0b0001: (0, 2, 3),
     0b0010: (0, 1, 5),
@@ -87,7 +88,7 @@ def cut_tetrahedra(points: Floats, cells: Ints, axis: int, at: float) -> list[tu
     sections: dict[int, list[tuple[Floats, Ints]]] = {3: [], 4: []}
     for signs, ring in _RINGS.items():
         cut_cells = np.flatnonzero((code == signs) | (code == 15 - signs))
-        end_vertices = np.array(EDGES)[list(ring)]
+        end_vertices = np.array(GMSH_TETRAHEDRON)[list(ring)]
         h = height[cut_cells][:, end_vertices]
         x = points[cells[cut_cells][:, end_vertices]]
         part_of_edge = (h[..., 0] / (h[..., 0] - h[..., 1]))[..., None]

@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 from app.plots import figures
 
 # Height of a row over which its dots are spread.
-SPREAD = 0.7
+SPREAD_OF_DOTS = 0.7
 # Font size of names of rows and entries of the legend.
-WORDS = 8
+FONT_SIZE_OF_ROWS = 8
 # Font size of the names of dots.
-NAMES = 7
+FONT_SIZE_OF_DOTS = 7
 
 
 @dataclass(frozen=True)
@@ -51,19 +51,21 @@ def dots(
     for k, row_dots in enumerate(rows.values()):
         for i, dot in enumerate(row_dots):
             x = min(max(dot.value, lowest), highest)
-            y = k + SPREAD * ((i + 0.5) / len(row_dots) - 0.5)
+            y = k + SPREAD_OF_DOTS * ((i + 0.5) / len(row_dots) - 0.5)
             axes.plot(x, y, dot.kind.marker, color=dot.kind.colour, markersize=4.5, alpha=0.8)
             counts[dot.kind] = counts.get(dot.kind, 0) + 1
             if dot.name:
-                axes.annotate(f"{dot.name} ", (x, y), ha="right", va="center", fontsize=NAMES)
+                axes.annotate(
+                    f"{dot.name} ", (x, y), ha="right", va="center", fontsize=FONT_SIZE_OF_DOTS
+                )
     axes.axvline(bound, color="0.27", linewidth=1)
     axes.set(xscale="log", xlim=(lowest / 1.5, 1.7 * highest), ylim=(len(rows) - 0.4, -0.6))
-    axes.set_yticks(range(len(rows)), list(rows), fontsize=WORDS)
+    axes.set_yticks(range(len(rows)), list(rows), fontsize=FONT_SIZE_OF_ROWS)
     for kind, count in counts.items():
         label = f"{kind.name} ({count})"
         axes.plot([], [], kind.marker, color=kind.colour, label=label)
     axes.legend(
-        fontsize=WORDS,
+        fontsize=FONT_SIZE_OF_ROWS,
         frameon=False,
         loc="lower left",
         bbox_to_anchor=(0.0, 1.0),

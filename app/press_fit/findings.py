@@ -16,7 +16,7 @@ from app.case.quantities import TABLE, in_print
 from app.case.summary import Numbers, Summary
 from app.foundation.verdict import Severity, Verdict, note
 from app.laws.interface_laws import GapKeys, insertion_stages
-from app.results.closing_lines import CEMENT
+from app.results.closing_lines import CEMENT_NUMBER
 from app.results.verdicts import result_verdict
 from app.schema.yaml_file import Fault
 from app.soundness.preview import input_note
@@ -169,7 +169,7 @@ def _may_grow_in(summary: Summary, interface: str) -> bool:
         return interface.startswith(f"{region}_") or interface.endswith(f"_{region}")
 
     regions = summary.get("regions", {})
-    if any(CEMENT in q and touches(name) for name, q in regions.items()):
+    if any(CEMENT_NUMBER in q and touches(name) for name, q in regions.items()):
         return False
     bones = {name for name, q in regions.items() if "insertion_hoop_strain_p99" in q}
     return not bones or any(touches(name) for name in (*bones, "bone"))

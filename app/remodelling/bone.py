@@ -75,7 +75,7 @@ class BoneMass(Record):
         cells = {
             r: density(r)
             * stresses.points_and_volumes(r)[1]
-            @ linear_shape_functions(stresses.points[r])
+            @ linear_shape_functions(stresses.points_of_region[r])
             for r in forms.density_regions
         }
         return np.array([forms.vertex_sums(forms.vertices(r), sums) for r, sums in cells.items()]).T
@@ -99,7 +99,7 @@ class BoneMass(Record):
         masses = []
         for density in (forms.density_at_start, forms.density):
             densities = {
-                region: forms.density_at(region, stresses.points[region], density)
+                region: forms.density_at(region, stresses.points_of_region[region], density)
                 for region in forms.density_regions
             }
             masses.append(

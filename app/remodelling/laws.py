@@ -18,13 +18,15 @@ from pydantic import Field, model_validator
 
 from app.case.case import Case
 from app.foundation.arrays import Floats
-from app.laws.densities import LEAST, Law, modulus_of_density
+from app.laws.densities import LEAST_DENSITY, Law, modulus_of_density
 from app.schema.expressions import Varying
 from app.schema.paths import File
 from app.schema.section import ITEMS, Name, Pair, Section, fail
 from app.schema.units import Dimension, PositiveLength, Share
 
-_BoneDensity = Annotated[float, Dimension("g/cm^3", "a density", "1.74 g/cm^3", at_least=LEAST)]
+_BoneDensity = Annotated[
+    float, Dimension("g/cm^3", "a density", "1.74 g/cm^3", at_least=LEAST_DENSITY)
+]
 _Names = Annotated[tuple[Name, ...], ITEMS]
 
 

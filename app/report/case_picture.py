@@ -41,7 +41,7 @@ AXIS_ENDS = (("lateral", "medial"), ("posterior", "anterior"), ("distal", "proxi
 # Colours of loads, supports and heat conditions.
 LOAD = "#b2182b"
 SUPPORT = "#1b7837"
-HEAT = "#d9660a"
+HEAT_COLOUR = "#d9660a"
 # Colour of a shaft that is continued below a scan.
 CONTINUED = "#6a3d9a"
 # Colours of the interfaces, one after the other.
@@ -229,7 +229,9 @@ def _lines(view: View, case: Case, data: MeshData) -> None:
                     f", {zone_name.replace('_', ' ')} {plain_text(zone.friction_coefficient)}"
                 )
         triangles_of_interface = [data.points[interface_facets(data, name)[0][:, :3]]]
-        triangles_of_interface += [_boundary(data, face) for face in case.faces.get(name, ())]
+        triangles_of_interface += [
+            _boundary(data, face) for face in case.sliding_boundaries.get(name, ())
+        ]
         label = f"{name.replace('_', '-')}: {law_text}"
         style = "-" if law.can_part else "--"
         view.lines(np.concatenate(triangles_of_interface), colour, label, style=style)
@@ -237,7 +239,7 @@ def _lines(view: View, case: Case, data: MeshData) -> None:
     conditions += [
         ("support", SUPPORT, name, condition) for name, condition in case.supports.items()
     ]
-    conditions += [("heat", HEAT, name, condition) for name, condition in case.heat.items()]
+    conditions += [("heat", HEAT_COLOUR, name, condition) for name, condition in case.heat.items()]
     for kind_label, colour, name, condition in conditions:
         facets = _boundary(data, condition.boundary or "")
         middles = view.lines(facets, colour, kind_label, width=4.0, alpha=0.8)

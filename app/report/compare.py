@@ -28,8 +28,8 @@ from app.results.verdicts import notes_of
 from app.system.folders import write_text
 from app.system.layout import noted, plain_text, several
 
-# Runs of a page: a browser draws some sixteen views.
-MOST = 8
+# Largest number of runs of a page: a browser draws about sixteen views.
+MOST_RUNS = 8
 # Numbers of the first table.
 LARGEST = 10
 # Keys of a case that are not compared.
@@ -55,8 +55,8 @@ def write(folders: Sequence[Path], path: Path) -> Path:
         for k, folder in enumerate(folders)
         if resolved_folders[k] in resolved_folders[:k]
     ]
-    if not 2 <= len(folders) <= MOST:
-        problems.append(f"2 to {MOST} runs can be compared, not {len(folders)}")
+    if not 2 <= len(folders) <= MOST_RUNS:
+        problems.append(f"2 to {MOST_RUNS} runs can be compared, not {len(folders)}")
     if problems:
         raise InputError(problems)
     try:
@@ -154,7 +154,7 @@ def _largest(
                 " ".join(values),
             )
         )
-    return large[: lead.MOST]
+    return large[: lead.MOST_LARGE_NUMBERS]
 
 
 def _numbers(

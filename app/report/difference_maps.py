@@ -20,7 +20,7 @@ from app.plots.maps import Interpolation
 from app.report import pictures
 from app.report.page import Figure
 from app.report.pictures import Sheet
-from app.report.sweep_results import WORDS, SweptCase, named
+from app.report.sweep_results import QUANTITY_LABELS, SweptCase, named
 from app.report.viewer import interface_fields, lengths
 from app.results.reading import Run
 
@@ -81,7 +81,7 @@ def _picture(
     for quantity in pictures.SHOWN:
         label, unit, _ = interface_fields()[quantity]
         values = [by_quantity.get(quantity) for by_quantity in differences]
-        title = f"difference of {WORDS.get(quantity, label)} ({printed(unit)})"
+        title = f"difference of {QUANTITY_LABELS.get(quantity, label)} ({printed(unit)})"
         rows.append((title, figures.SIGNED, values))
     file = f"difference_{name}.png"
     titled_sheets = [(title, *first_sheet) for title, first_sheet, _ in columns]

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypedDict
 import configs
 from app.case import credibility, quantities
 from app.case.case import Case, load_case
-from app.case.credibility import FACTORS, RISKS, FactorName, Grade
+from app.case.credibility import CREDIBILITY_FACTORS, RISKS, FactorName, Grade
 from app.case.geometries import MeshFile
 from app.case.library import ORIGIN
 from app.case.quantities import TABLE
@@ -230,7 +230,7 @@ def assessed(basis: Evidence) -> list[AssessedFactor]:
     """Return the 25 factors of a run in their order."""
     stated = basis.case.credibility
     factors = []
-    for number, (key, factor) in enumerate(FACTORS.items(), 1):
+    for number, (key, factor) in enumerate(CREDIBILITY_FACTORS.items(), 1):
         finding = GRADERS[key](basis)
         claim = stated.evidence.get(key)
         grade = finding.grade

@@ -173,7 +173,7 @@ def _draw(record: FitRecord, path: Path) -> None:
     _draw_keys(all_axes[1], record)
     if len(keys) > 1:
         _draw_plane(all_axes[2], record)
-    figures.legend_below(figure, 5, last=curves.FAILED)
+    figures.legend_below(figure, 5, last=curves.FAILED_ENTRY)
     figures.save_figure(figure, path, curves.DPI, PNG)
 
 

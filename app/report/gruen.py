@@ -14,7 +14,7 @@ from app.report.page import Block, Figure
 from app.report.sweep_results import (
     INTERFACES,
     QUANTITIES,
-    WORDS,
+    QUANTITY_LABELS,
     Number,
     SweptCase,
     magnitude,
@@ -90,7 +90,7 @@ def tables(case: SweptCase) -> list[tuple[str, list[str], list[list[str]]]]:
         }
         if "micromotion" in unit_of_quantity:
             del unit_of_quantity["motion"]  # because it contains the interference
-        head = ["zone", *(f"{WORDS[q]} ({unit})" for q, unit in unit_of_quantity.items())]
+        head = ["zone", *(f"{QUANTITY_LABELS[q]} ({unit})" for q, unit in unit_of_quantity.items())]
         rows = []
         for zone_name, zone in by_zone.items():
             numbers = zone["interfaces"].get(interface, {})
@@ -100,7 +100,7 @@ def tables(case: SweptCase) -> list[tuple[str, list[str], list[list[str]]]]:
                     *(_largest_and_mean(quantity, numbers) for quantity in unit_of_quantity),
                 ]
             )
-        titled_tables.append((f"{WORDS[interface]} interface", head, rows))
+        titled_tables.append((f"{QUANTITY_LABELS[interface]} interface", head, rows))
     return titled_tables
 
 

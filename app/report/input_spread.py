@@ -17,11 +17,17 @@ from app.report.sweep_results import SweptCase, read
 from app.system.layout import plain_text
 
 # Fewest samples for a 5th and a 95th percentile.
-FEWEST = 10
+FEWEST_SAMPLES = 10
 # Keys in which a sample may differ from the run: numerical settings, and keys that the uncertain
 # inputs determine.
-FREE = {"title", "mesh", "solver", "output", "at", "status", "source"}
-HEAD = ("", "value", "± of the mesh", "5 to 95 % over inputs", "follows most (rank correlation)")
+FREE_KEYS = {"title", "mesh", "solver", "output", "at", "status", "source"}
+HEAD_OF_SPREAD = (
+    "",
+    "value",
+    "± of the mesh",
+    "5 to 95 % over inputs",
+    "follows most (rank correlation)",
+)
 
 
 @dataclass(frozen=True)
@@ -61,7 +67,7 @@ class InputSpread:
         )
 
     def cells(self, name: str, q: Quantity, numbers: Numbers) -> list[str]:
-        """Return the cells of a number in a table with the head `HEAD`."""
+        """Return the cells of a number in a table with the head `HEAD_OF_SPREAD`."""
         value, _, error = q.text(numbers).partition(" ± ")
         lowest, highest, strongest = self.range_of(name) or (None, None, "-")
         range_text = "-" if lowest is None else f"{lowest:.{q.digits}f} to {highest:.{q.digits}f}"
@@ -116,8 +122,10 @@ def input_spread_of_run(folder: Path, run: SweptCase) -> InputSpread:
         c.name: next(_differences(run.data, c.data, keys), "") for c in drawn_cases if c.done
     }
     samples = [c for c in drawn_cases if c.done and not differences[c.name]]
-    if len(samples) < FEWEST:
-        too_few = f"{len(samples)} samples converged; the 5th and 95th percentile need {FEWEST}"
+    if len(samples) < FEWEST_SAMPLES:
+        too_few = (
+            f"{len(samples)} samples converged; the 5th and 95th percentile need {FEWEST_SAMPLES}"
+        )
         other_case = f"is of another case than {run.folder}: {next(iter(differences.values()))}"
         raise InputError(f"{option}: {too_few if samples else other_case}")
     inputs = {}
@@ -131,7 +139,7 @@ def _differences(
 ) -> Iterator[str]:
     """Yield the keys other than inputs in which a sample differs from the run, with both values."""
     if isinstance(run, dict) and isinstance(sample, dict):
-        for key in (run | sample).keys() - FREE:
+        for key in (run | sample).keys() - FREE_KEYS:
             yield from _differences(run.get(key), sample.get(key), inputs, f"{path}.{key}")
     elif run != sample:
         input_keys = [key.partition("[")[0] for key in inputs]

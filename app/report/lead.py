@@ -18,20 +18,30 @@ PAIRS = {
     "stem_bone": ("the stem", "the bone", "in"),
     "collar_bone": ("the collar", "the bone", "on"),
 }
-# Slip and gaps below this count as zero [um].
-NOTHING = 0.05
-# Open fraction of the area above which the sides do not touch.
-APART = 0.995
+# Slip, gaps and subsidence below this count as zero [um].
+SMALLEST_MOTION = 0.05
+# Temperatures below this are printed as zero in a range [degC].
+SMALLEST_TEMPERATURE = 0.05
+# Numbers whose ranges over runs are shown, with the values below which they count as zero.
+ZERO_IN_RANGES = {
+    "slip_p99": SMALLEST_MOTION,
+    "gap_p99": SMALLEST_MOTION,
+    "temperature_max": SMALLEST_TEMPERATURE,
+}
+# Open fraction of the area above which the sides do not touch [-].
+APART_FRACTION = 0.995
+# Areas below this are not mentioned [mm2].
+SMALLEST_AREA = 0.5
 # Volume of dead bone below which no bone counts as dead [mm3].
-NO_BONE = 0.5
-# Large numbers of a page.
-MOST = 3
+SMALLEST_DEAD_VOLUME = 0.5
+# Largest number of large numbers of a page.
+MOST_LARGE_NUMBERS = 3
 # Words on the force by the sector of the body that is modelled.
 SECTORS = {"half": " on the half that is modelled", "quarter": " on the quarter that is modelled"}
 
 
 def large_numbers(summary: Summary) -> list[LargeNumber]:
-    """Return the most important numbers of ``summary.json``, at most `MOST`.
+    """Return the most important numbers of ``summary.json``, at most `MOST_LARGE_NUMBERS`.
 
     The first numbers of the groups contact, stem, heat and cure are chosen first, then their second
     numbers, and so on. A case without these groups has the stress of its regions.
@@ -43,16 +53,16 @@ def large_numbers(summary: Summary) -> list[LargeNumber]:
         list(_cure(summary)),
     ]
     by_rank = [n for n in chain.from_iterable(zip_longest(*numbers_by_group)) if n is not None]
-    chosen_numbers = by_rank[:MOST]
+    chosen_numbers = by_rank[:MOST_LARGE_NUMBERS]
     numbers = [n for n in chain.from_iterable(numbers_by_group) if n in chosen_numbers]
-    return numbers or list(_stresses(summary))[:MOST]
+    return numbers or list(_stresses(summary))[:MOST_LARGE_NUMBERS]
 
 
 def loads(case: SweptCase, summary: Summary) -> str:
     """Return the largest force of a case and the sum of all forces, in sentences.
 
-    Empty if a run stopped before its last load, if no part of the case is loaded, and if no load
-    has a single size.
+    The result is empty in three cases: the run ended before its last load, the case has neither
+    interfaces nor a stem, or no load has a single size.
     """
     ended = summary["status"] not in ("stopped", "not converged")
     if not ended or not (summary["interfaces"] or summary.get("stem")):
@@ -116,29 +126,31 @@ def _contacts(summary: Summary) -> Iterator[LargeNumber]:
             detail = f"99 % of the {surface} moves less"
             detail += ", counted from the end of the insertion." if _is_pressed(q) else "."
             area = q.get("area_micromotion_over_40um", 0.0)
-            if area > NO_BONE:
+            if area > SMALLEST_AREA:
                 detail += f" Motion above 40 µm: {area:,.0f} of {q['area']:,.0f} mm²."
             caption = f"micromotion of {moving_body} {preposition} {other_body}"
             yield _number("interfaces", "micromotion_p99", q, caption, detail)
             continue
-        if q.get("open_fraction", 0.0) > APART:
+        if q.get("open_fraction", 0.0) > APART_FRACTION:
             caption = f"gap between {moving_body} and {other_body}"
             if name not in PAIRS:
                 caption = f"gap of {named(name)}"
-            detail = f"99 % of the {surface} is closer. The sides touch nowhere."
+            detail = (
+                f"The gap is smaller than this on 99 % of the {surface}. The sides touch nowhere."
+            )
             yield _number("interfaces", "gap_p99", q, caption, detail)
             continue
         detail = f"99 % of the {surface} slips less."
         area = q.get("area_gap_over_30um", 0.0)
-        if area > NO_BONE:
+        if area > SMALLEST_AREA:
             detail += f" Open by more than 30 µm: {area:,.0f} of {q['area']:,.0f} mm²."
-        elif 1e3 * q.get("gap_p99", 0.0) > NOTHING:
+        elif 1e3 * q.get("gap_p99", 0.0) > SMALLEST_MOTION:
             gap = _with_unit("interfaces", "gap_p99", q)
             detail += f" 99 % is open by less than {gap}."
         else:
             detail += " It stays closed."
         caption = f"slip of {moving_body} {preposition} {other_body}"
-        if 1e3 * q["slip_p99"] > NOTHING:
+        if 1e3 * q["slip_p99"] > SMALLEST_MOTION:
             yield _number("interfaces", "slip_p99", q, caption, detail)
         else:
             yield LargeNumber("0", printed(TABLE["interfaces"]["slip_p99"].shown), caption)
@@ -161,7 +173,7 @@ def _captioned(name: str, numbers: Numbers) -> Iterator[LargeNumber]:
 def _stem(summary: Summary) -> Iterator[LargeNumber]:
     """Subsidence of the stem."""
     stem = summary.get("stem", {})
-    if abs(1e3 * stem.get("subsidence", 0.0)) > NOTHING:
+    if abs(1e3 * stem.get("subsidence", 0.0)) > SMALLEST_MOTION:
         name = name_of_implant(summary)
         detail = f"Motion of the {name} against the bone along the shaft."
         if "insertion_subsidence" in stem:
@@ -201,7 +213,7 @@ def _heat(summary: Summary) -> Iterator[LargeNumber]:
     ]
     detail = f"By the rule of {in_print(NECROSIS[rule])}. By other rules "
     detail += f"{min(other_volumes):,.0f} to {max(other_volumes):,.0f} mm³."
-    if max(volume_by_criterion.values()) < NO_BONE:
+    if max(volume_by_criterion.values()) < SMALLEST_DEAD_VOLUME:
         detail = "No bone dies by any rule."
     yield LargeNumber(f"{volume_by_criterion[rule]:,.0f}", "mm³", "dead bone", detail=detail)
 
@@ -227,11 +239,17 @@ def _stresses(summary: Summary) -> Iterator[LargeNumber]:
 
 
 def ranges_over_runs(cases: Sequence[SweptCase], names: Sequence[str]) -> list[LargeNumber]:
-    """Return the ranges of slip, gap and temperature over several runs, at most `MOST`."""
+    """Return the ranges of slip, gap and temperature over several runs.
+
+    There are at most `MOST_LARGE_NUMBERS`.
+    """
     numbers = []
     for name, extremes in ranges(cases, names):
         title, unit = label_and_unit(name)
-        lowest, highest = (f"{_zero_if_small(value):.3g}" for value, _ in extremes)
+        smallest = _zero_in_range(name)
+        lowest, highest = (
+            f"{value if abs(value) > smallest else 0.0:.3g}" for value, _ in extremes
+        )
         if lowest == highest:
             continue
         least_case, most_case = (c.name.replace("_", " ") for _, c in extremes)
@@ -239,11 +257,12 @@ def ranges_over_runs(cases: Sequence[SweptCase], names: Sequence[str]) -> list[L
         numbers.append(
             LargeNumber(f"{lowest} to {highest}", unit, spelled_out(title), detail=detail)
         )
-    return numbers[:MOST]
+    return numbers[:MOST_LARGE_NUMBERS]
 
 
-def _zero_if_small(value: float) -> float:
-    return value if abs(value) > NOTHING else 0.0
+def _zero_in_range(name: str) -> float:
+    """Value below which a number counts as zero in its range, in the printed unit."""
+    return ZERO_IN_RANGES[name.rpartition(".")[2]]
 
 
 def ranges(
@@ -254,12 +273,14 @@ def ranges(
     Each value comes with its case, in the printed unit.
     """
     for name in names:
+        if name.rpartition(".")[2] not in ZERO_IN_RANGES:
+            continue
         values = []
         for k, case in enumerate(cases):
             number = case.number(name)
             if number:
                 values.append((number.value, k))
-        if len(values) > 1 and name.endswith((".slip_p99", ".gap_p99", ".temperature_max")):
+        if len(values) > 1:
             extremes = min(values), max(values)
-            if extremes[1][0] > NOTHING and extremes[0] != extremes[1]:
+            if extremes[1][0] > _zero_in_range(name) and extremes[0] != extremes[1]:
                 yield name, [(value, cases[k]) for value, k in extremes]

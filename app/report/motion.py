@@ -27,7 +27,7 @@ from app.schema.section import did_you_mean
 from meshes.data import exterior_facets
 
 # Most pictures of a film.
-MOST = 60
+MOST_PICTURES = 60
 # Pictures per second.
 RATE = 10
 # Shortest duration of a film [s].
@@ -39,7 +39,7 @@ CLIP = 99.5
 DEFORMED = 0.05
 # Width and height of a view [inch].
 VIEW = (3.6, 6.0)
-NAMES = {".gif": "an animated GIF", ".mp4": "a film in MP4"}
+FILM_FORMATS = {".gif": "an animated GIF", ".mp4": "a film in MP4"}
 
 
 def write(folder: Path, path: Path, name: str = "") -> Path:
@@ -55,7 +55,7 @@ def write(folder: Path, path: Path, name: str = "") -> Path:
             is missing.
         StoppedError: The file cannot be written.
     """
-    if path.suffix not in NAMES:
+    if path.suffix not in FILM_FORMATS:
         raise InputError(f"--gif {path}: expected a file whose name ends in .gif or .mp4")
     if path.suffix == ".mp4" and not FFMpegWriter.isAvailable():
         gif = path.with_suffix(".gif")
@@ -65,8 +65,8 @@ def write(folder: Path, path: Path, name: str = "") -> Path:
         raise InputError(f"--gif: {folder} {fault}")
     run = Run(folder)
     field, triangles, views = _shown(run, name)
-    seconds = max(LEAST_SECONDS, min(MOST, len(run.times)) / RATE)
-    steps = [*range(len(run.times))][:: -(-len(run.times) // MOST)]
+    seconds = max(LEAST_SECONDS, min(MOST_PICTURES, len(run.times)) / RATE)
+    steps = [*range(len(run.times))][:: -(-len(run.times) // MOST_PICTURES)]
     steps = [*steps[:-1], len(run.times) - 1]
     rate = max(1, round(len(steps) / seconds))
     writer = PillowWriter(rate) if path.suffix == ".gif" else FFMpegWriter(rate)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from app.foundation.arrays import Floats
 
 # A fraction of a range is an integer from 0 to this; one more stands for no value.
-LEVELS = 65534
+LARGEST_INTEGER = 65534
 # Level of compression: 0.03 s for 2.5 MB of a hip; the highest takes 0.25 s and saves 1 %.
 COMPRESSION = 4
 # Arrays begin at multiples of this, as the typed arrays of JavaScript must [bytes].
@@ -41,8 +41,8 @@ class PackedArrays:
 
 
 def fractions(part: Floats) -> NDArray[np.uint16]:
-    """Fractions of a range, 0 to 1, as 16-bit integers from 0 to `LEVELS`."""
-    return np.round(np.clip(part, 0.0, 1.0) * LEVELS).astype(np.uint16)
+    """Fractions of a range, 0 to 1, as 16-bit integers from 0 to `LARGEST_INTEGER`."""
+    return np.round(np.clip(part, 0.0, 1.0) * LARGEST_INTEGER).astype(np.uint16)
 
 
 def points_in_range(x: Floats) -> tuple[NDArray[np.uint16], dict[str, object]]:

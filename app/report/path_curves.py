@@ -8,7 +8,7 @@ from itertools import chain
 
 import numpy as np
 
-from app.case.quantities import FACTORS, printed
+from app.case.quantities import FACTOR_OF_UNIT, printed
 from app.foundation.arrays import Floats
 from app.plots.curves import ROUNDED, Line, Panel, drawing
 from app.report import page
@@ -148,7 +148,7 @@ def _lines(table: PathTable, column: str, step: float, label: str, style: int) -
     """Curve of a field at a step, in pieces between gaps; only the first has a label."""
     is_at_step = table["step"] == step
     x: Floats = table[ARC][is_at_step]
-    factor = FACTORS.get(_shown(column)[1], 1.0)
+    factor = FACTOR_OF_UNIT.get(_shown(column)[1], 1.0)
     y: Floats = factor * table[column][is_at_step]
     y = np.where(np.abs(y) < ROUNDED.get(printed(_shown(column)[1]), 0.0), 0.0, y)
     is_known = np.isfinite(y)

@@ -31,11 +31,11 @@ from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import MantleError
 from app.plots import figures
 from app.plots import maps as plane
-from app.plots.figures import HEAT, LOADED, SEQUENTIAL, SIGNED
+from app.plots.figures import HEAT_COLOURS, LOADED, SEQUENTIAL, SIGNED
 from app.plots.sections import VIEWS, draw_surface
 from app.report import lead
 from app.report.page import Figure
-from app.report.sweep_results import WORDS, SweepResults, SweptCase, headlines, named
+from app.report.sweep_results import QUANTITY_LABELS, SweepResults, SweptCase, headlines, named
 from app.report.viewer import (
     INTERFACE,
     cells_of,
@@ -61,7 +61,7 @@ SHOWN = {
 }
 PEAK = "temperature_peak"
 # Name of the picture of the surfaces from three sides.
-SIDES = "interfaces"
+PICTURE_OF_SIDES = "interfaces"
 ON_SIDES = {"slip": "viridis", "gap": "viridis", "pressure": "cividis"}
 # Quantities of which the picture has means over the area of a node.
 TRACTIONS = ("pressure", "shear")
@@ -71,13 +71,14 @@ WAYS = {-90: "posterior", 0: "medial", 90: "anterior", 180: "lateral", 270: "pos
 SHORT = {"posterior": "post.", "medial": "med.", "anterior": "ant.", "lateral": "lat."}
 # Cosine between normal and vertical above which a facet belongs to an end face.
 STEEP = math.cos(math.radians(40.0))
-FLAT = 1e-6
+# Deviation from a plane or sphere that is rounding, as a fraction of the size.
+ROUNDING_OF_DEPTH = 1e-6
 # Errors of runs whose fields or geometry cannot be read.
 UNREADABLE = (OSError, KeyError, ValueError, MantleError)
 # Percentile of the values drawn at which colours end.
 CLIP = 99.5
 # Least range of colours, in the printed unit, so that rounding errors have no colour.
-LEAST = 1e-3
+LEAST_COLOUR_RANGE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -172,9 +173,9 @@ def _rows(name: str, columns: Sequence[Column]) -> list[Row]:
             factor * lengths(run, field) if field in run.point_fields else None
             for _, run, _ in columns
         ]
-        rows.append((f"{WORDS.get(quantity, label)} ({unit})", colours, values))
+        rows.append((f"{QUANTITY_LABELS.get(quantity, label)} ({unit})", colours, values))
     peaks = [run.on_points(PEAK) if PEAK in run.point_fields else None for _, run, _ in columns]
-    return [*rows, (TEMPERATURE, HEAT, peaks)]
+    return [*rows, (TEMPERATURE, HEAT_COLOURS, peaks)]
 
 
 def _figure(file: str, name: str, columns: Sequence[Column], labels: Sequence[str]) -> Figure:
@@ -273,7 +274,7 @@ def sheet(
     x = run.points[triangles]
     centred = x.reshape(-1, 3) - x.reshape(-1, 3).mean(axis=0)
     _, extent, axes = np.linalg.svd(centred, full_matrices=False)
-    if extent[2] > FLAT * extent[0]:
+    if extent[2] > ROUNDING_OF_DEPTH * extent[0]:
         return None
     other_axes = np.delete(np.eye(3), np.abs(axes[2]).argmax(), axis=0)
     plane, signs = np.linalg.qr(np.vstack([axes[2], other_axes]).T)
@@ -291,7 +292,7 @@ def flattened_cup(x: Floats) -> Floats | None:
     centre = np.linalg.lstsq(linear, (corners**2).sum(axis=1))[0][:3]
     radial = x - centre
     size = np.linalg.norm(radial, axis=2, keepdims=True)
-    if np.ptp(size) > FLAT * size.max():
+    if np.ptp(size) > ROUNDING_OF_DEPTH * size.max():
         return None
     pole = radial.mean(axis=(0, 1)) / np.linalg.norm(radial.mean(axis=(0, 1)))
     other_axes = np.delete(np.eye(3), np.abs(pole).argmax(), axis=0)
@@ -384,10 +385,10 @@ def _panels(
 def _limits(values: Floats, label: str, colours: str) -> tuple[float, float]:
     """Return the values at which the colours of a row begin and end."""
     if colours == SIGNED:
-        highest = max(float(np.percentile(np.abs(values), CLIP)), LEAST)
+        highest = max(float(np.percentile(np.abs(values), CLIP)), LEAST_COLOUR_RANGE)
         return -highest, highest
     lowest = float(values.min()) if label == TEMPERATURE else 0.0
-    return lowest, max(float(np.percentile(values, CLIP)), lowest + LEAST)
+    return lowest, max(float(np.percentile(values, CLIP)), lowest + LEAST_COLOUR_RANGE)
 
 
 def _axes(axes: Axes, map_sheet: Sheet) -> None:
@@ -458,7 +459,7 @@ def sides(run: Run, folder: Path) -> list[Figure]:
             )
             largest = "largest mean at a node" if quantity in TRACTIONS else "largest"
             bar.set_label(f"{label} on the {named(body)} ({unit}), {largest} {values.max():.3g}")
-    figures.save_figure(figure, folder / f"{SIDES}.png", 130)
+    figures.save_figure(figure, folder / f"{PICTURE_OF_SIDES}.png", 130)
     interface_names = " and ".join(name.replace("_", "-") for name in side_of_interface)
     motions = dict.fromkeys(next(iter(_on_sides(run, name))) for name in side_of_interface)
     motion_words = " or ".join(motions).capitalize()
@@ -472,4 +473,4 @@ def sides(run: Run, folder: Path) -> list[Figure]:
         f"{motion_words}, gap and pressure of {interface_names}, drawn on the surface from three"
         " sides."
     )
-    return [Figure(f"{SIDES}.png", "", caption, description)]
+    return [Figure(f"{PICTURE_OF_SIDES}.png", "", caption, description)]

@@ -41,7 +41,7 @@ from app.report import (
     sweep_tables,
     viewer,
 )
-from app.report.input_spread import HEAD, InputSpread, input_spread_of_run
+from app.report.input_spread import HEAD_OF_SPREAD, InputSpread, input_spread_of_run
 from app.report.page import Block, Figure, PageSection, Verbatim, bullets, table
 from app.report.sweep_results import CONVERGED, Json, SweptCase, headlines, named
 from app.results import closing_lines as text
@@ -458,7 +458,7 @@ def _tables(summary: Summary, all_parts: bool, spread: InputSpread | None = None
                 for owner, numbers in by_owner.items():
                     rows.append(spread.cells(f"{owner}.{q.key}", q, numbers))
         rows = [row for row in rows if set(row[1:]) != {"-"}]
-        head = HEAD if spread else ["", *map(named, by_owner)]
+        head = HEAD_OF_SPREAD if spread else ["", *map(named, by_owner)]
         title = titles[section].format(implant=name_of_implant(summary))
         blocks += page.titled(title, table(head, rows))
         if section == "thermal.regions" and not all_parts and not spread:

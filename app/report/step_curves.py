@@ -8,7 +8,7 @@ from itertools import chain
 import numpy as np
 
 from app.case.case import Case
-from app.case.quantities import FACTORS, TABLE, TENSION_LEVELS, printed
+from app.case.quantities import FACTOR_OF_UNIT, TABLE, TENSION_LEVELS, printed
 from app.case.summary import Summary
 from app.foundation.arrays import Floats
 from app.plots.curves import ROUNDED, Line, Panel, sparse
@@ -40,7 +40,7 @@ SOLVER = (SECONDS, TIME, "step", "newton", "krylov", "residual", "augmentation",
 # Units of quantities that vanish without loads.
 VANISHING = ("um", "um/m", "mm", "deg", "N", "N mm", "MPa")
 # Value below which a quantity counts as zero, in its printed unit.
-ROUNDING = 1e-9
+ROUNDING_OF_QUANTITIES = 1e-9
 StepRecord = Mapping[str, Floats]
 
 
@@ -76,9 +76,11 @@ def over_time(step_record: StepRecord, at_rest: bool = False) -> list[Panel]:
         if key not in drawn_quantities or not place or (not key and unit != "degC"):
             continue
         printed_unit = drawn_quantities[key][1]
-        scaled = FACTORS.get(printed_unit, 1.0) * values
+        scaled = FACTOR_OF_UNIT.get(printed_unit, 1.0) * values
         is_known = np.isfinite(values)
-        if np.abs(scaled[is_known]).max(initial=0.0) > ROUNDED.get(printed(printed_unit), ROUNDING):
+        if np.abs(scaled[is_known]).max(initial=0.0) > ROUNDED.get(
+            printed(printed_unit), ROUNDING_OF_QUANTITIES
+        ):
             x, y = times[is_known].tolist(), scaled[is_known].tolist()
             if at_rest and not is_timed and printed_unit in VANISHING:
                 x, y = [0.0, *x], [0.0, *y]

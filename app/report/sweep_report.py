@@ -83,7 +83,7 @@ def _uncertain(sweep: SweepResults) -> list[Block]:
     for part, samples in sweep.uncertainty.items():
         samples_title = f"{samples['samples']} samples{f' ({part})' if part else ''}"
         blocks += page.titled(
-            samples_title, table(uncertainty.HEAD, uncertainty.rows_of_spread(samples))
+            samples_title, table(uncertainty.HEAD_OF_SPREAD, uncertainty.rows_of_spread(samples))
         )
         indices = table(uncertainty.INDEX_HEAD, uncertainty.index_rows(samples))
         blocks += page.titled("Sobol' indices: shares of the variance", indices)

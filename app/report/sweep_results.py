@@ -32,8 +32,8 @@ PERCENTILES = {
     for key in _CONTACT
 }
 QUANTITIES = {key: (quantities.printed(q.shown), q.factor) for key, q in _CONTACT.items()}
-WORDS = {key: q.label.removesuffix(", max") for key, q in _CONTACT.items()}
-WORDS |= quantities.PLACES
+QUANTITY_LABELS = {key: q.label.removesuffix(", max") for key, q in _CONTACT.items()}
+QUANTITY_LABELS |= quantities.PLACES
 CONVERGED = "converged"
 # Statuses of a case.
 STATUSES = (CONVERGED, "not converged", "failed", "stopped", UNUSABLE)
@@ -227,7 +227,7 @@ def by_part(cases: Sequence[SweptCase]) -> dict[str, list[SweptCase]]:
 
 def named(name: str) -> str:
     """Return a name of an interface, region or quantity in words."""
-    return WORDS.get(name) or quantities.place_in_words(name)
+    return QUANTITY_LABELS.get(name) or quantities.place_in_words(name)
 
 
 def magnitude(value: object) -> float | None:

@@ -22,11 +22,14 @@ MOST_LEVELS = 8
 # Texts of cells without content.
 EMPTY = {"-", ""}
 # Fewest cases for rank correlations.
-FEWEST = 6
+FEWEST_CASES = 6
 
 
 def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
-    """Varied keys with all their levels, a sentence for each part."""
+    """Return one sentence per part of the sweep, with its varied keys and their levels.
+
+    A part is one of several sets of points in a sweep file (`by_part`).
+    """
     sentences = []
     for part, part_cases in by_part(cases).items():
         key_texts = []
@@ -40,7 +43,7 @@ def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
             ]
             level_count = len({*map(str, written_levels)})
             if not is_numeric and len(level_texts) < level_count:
-                level_texts = [f"{level_count} of {', '.join(level_texts)}"]
+                level_texts = [f"{level_count} values of {', '.join(level_texts)}"]
             elif len(level_texts) > MOST_LEVELS:
                 sorted_levels = sorted(level_texts, key=float) if is_numeric else level_texts
                 level_texts = [
@@ -57,7 +60,13 @@ def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
 
 
 def cases_table(cases: Sequence[SweptCase], names: Sequence[str], folder: Path) -> list[Block]:
-    """Return cases with their outcome, their first numbers, and links to pages below a folder."""
+    """Return a table of the cases: status, changed keys, numbers, and links to their pages.
+
+    Args:
+        cases: The cases.
+        names: Names of numbers; the first `MOST_NUMBERS` are shown.
+        folder: Folder of the page, to which links are relative.
+    """
     names, shown_keys = names[:MOST_NUMBERS], varied_keys(cases)
     head = ["case", "status", "changes", *map(quantities.label_with_unit, names)]
     head += ["unknowns", "ranks", "time", "message"]
@@ -107,7 +116,8 @@ def number_text(case: SweptCase, name: str) -> str:
 def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[tuple[str, list[str]]]]:
     """Return head and rows: rank correlation of each main number with each key.
 
-    Parts with fewer than two varied keys are left out, because a curve shows more.
+    Parts with fewer than two varied keys are left out, because a curve shows more. Parts with fewer
+    than `FEWEST_CASES` cases are left out too.
     """
     rows: list[tuple[str, list[str]]] = []
     for part, part_cases in by_part([c for c in cases if c.done]).items():
@@ -118,7 +128,7 @@ def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[tuple[str, 
                 inputs = [c.overrides.get(key) for c in part_cases]
             if len(set(map(str, inputs))) > 1:
                 inputs_of_key[key] = inputs
-        if len(inputs_of_key) < 2 or len(part_cases) < FEWEST:
+        if len(inputs_of_key) < 2 or len(part_cases) < FEWEST_CASES:
             continue
         for name in headlines(part_cases)[:MOST_NUMBERS]:
             numbers = [c.number(name) for c in part_cases]

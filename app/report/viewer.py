@@ -26,7 +26,13 @@ from numpy.typing import NDArray
 from app.case.quantities import INTERFACE_FIELDS
 from app.foundation.arrays import Bools, Floats, Ints
 from app.report import page
-from app.report.packed_arrays import LEVELS, PackedArrays, as_text, fractions, points_in_range
+from app.report.packed_arrays import (
+    LARGEST_INTEGER,
+    PackedArrays,
+    as_text,
+    fractions,
+    points_in_range,
+)
 from app.report.sweep_results import QUANTITIES
 from app.results.reading import Run
 from meshes.data import cell_volumes, exterior_facets
@@ -34,7 +40,7 @@ from meshes.data import cell_volumes, exterior_facets
 THREE = Path("/usr/share/javascript/three")
 SCRIPTS = ("three.min.js", "examples/js/controls/OrbitControls.js")
 # Largest size of all values before compression [bytes]; about half of a page of 2 MB.
-MOST = 3_000_000
+MOST_BYTES = 3_000_000
 # Largest size of steps between the ends of stages [bytes]; such a page is below 10 MB.
 MOTION = 3_500_000
 # Largest number of steps between the ends of stages.
@@ -44,7 +50,7 @@ MOVING = ("slip", "micromotion", "temperature", "displacement", "degree_of_cure"
 # Triangles of a facet with six nodes.
 QUARTERS = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
 # Largest value of a field that is zero to rounding, in the unit of its file.
-ROUNDING = 1e-9
+ROUNDING_OF_FIELDS = 1e-9
 # Number of steps shown of the last cycle of a rotating body.
 MOMENTS = 12
 # Label, printed unit, and factor on the values in the file. Vectors are shown by their length.
@@ -116,7 +122,7 @@ def viewer(folders: Mapping[str, Path]) -> str:
     views = []
     for name, run, minus in pairs:
         motion_bytes = MOTION if len(pairs) == 1 else 0
-        head, values = packed_view(run, minus, MOST // len(pairs), motion_bytes)
+        head, values = packed_view(run, minus, MOST_BYTES // len(pairs), motion_bytes)
         views.append((name, json.dumps(head), as_text(values)))
     script_texts = [s.read_text("utf-8") for s in (*scripts, Path(__file__).with_name("viewer.js"))]
     return page.render("viewer.html", {"runs": views, "scripts": script_texts})
@@ -142,7 +148,7 @@ def same_mesh(a: Run, b: Run) -> bool:
 
 
 def packed_view(
-    run: Run, minus: Run | None = None, most_bytes: int = MOST, motion_bytes: int = 0
+    run: Run, minus: Run | None = None, most_bytes: int = MOST_BYTES, motion_bytes: int = 0
 ) -> tuple[dict[str, object], bytes]:
     """Pack the input of `viewer.js`: a head with the offsets of the arrays, and all their numbers.
 
@@ -244,7 +250,7 @@ def opening(
         side = side_of(run, kind.contact, surfaces) if kind.contact else None
         if side and kind.unit:
             body, triangles = side
-            if np.abs(lengths(run, kind.name)[triangles]).max() > ROUNDING:
+            if np.abs(lengths(run, kind.name)[triangles]).max() > ROUNDING_OF_FIELDS:
                 return {"field": kind.name, "bodies": [body], "axis": -1}
     nodal = [kind.name for kind in kinds if not kind.contact]
     field = nodal[0] if nodal else ""
@@ -331,7 +337,7 @@ def _scaled(values: Floats, is_known: Bools) -> tuple[NDArray[np.uint16], float,
     packed_values = fractions(
         np.where(is_known, (values - lowest) / ((highest - lowest) or 1.0), 0.0)
     )
-    packed_values[~is_known] = LEVELS + 1
+    packed_values[~is_known] = LARGEST_INTEGER + 1
     return packed_values, lowest, highest
 
 

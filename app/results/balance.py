@@ -31,8 +31,9 @@ from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
 from forms import elasticity, loads
 
-# Rounding of the assembled forces in units of the scale, whose hundredfold is still balanced.
-ROUNDING = 1e-10
+# Rounding of the assembled forces, in units of the scale. Up to 100 times this value the forces
+# count as balanced.
+ROUNDING_OF_FORCES = 1e-10
 
 # Pairs of forces and the motions in which they do work.
 Pairs = list[tuple[Floats, Floats]]
@@ -270,7 +271,7 @@ class Balance:
         free_strain_work = problem.forces.free_work(problem.load_time, displacement, jump)
         cure_work = comm.allreduce(fem.assemble_scalar(self._set)) if self._set else 0.0
         q = PETSc.Vec().createWithArray(jump, comm=comm) if trial else None
-        rounding = problem.rounding(u, q) / ROUNDING
+        rounding = problem.rounding(u, q) / ROUNDING_OF_FORCES
         largest_displacement = comm.allreduce(np.abs(displacement).max(initial=0.0), MPI.MAX)
         sizes = (
             self.external_work,

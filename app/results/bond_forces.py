@@ -270,7 +270,7 @@ class BondForces:
         Pieces that touch without an interface have an unnamed bond.
         """
         problem = self._problem
-        conforming = [c for c in problem.scene.contacts if not c.between]
+        conforming = [c for c in problem.scene.contacts if not c.slides_finitely]
         pieces, other_pieces = pieces_of(problem.tagged, [*self._bonds, *conforming])
         unnamed = [
             replace(self._bonds[0], name=f"{a}_{b}", master=(a,), slave=(b,))
@@ -345,7 +345,7 @@ class BondForces:
         # Derivatives of shape functions in the reference cell: of the displacement, of positions.
         elements = [space.ufl_element(), space.mesh.ufl_domain().ufl_coordinate_element()]
         of_u, of_x = (
-            np.array(element.sub_elements[0].tabulate(1, stresses.points[region])[1:])
+            np.array(element.sub_elements[0].tabulate(1, stresses.points_of_region[region])[1:])
             for element in elements
         )
         x = geometry.x[geometry.dofmap[stresses.cells[region][rows]]]

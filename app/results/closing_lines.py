@@ -27,8 +27,8 @@ log = logging.getLogger("mantle")
 # Columns of the lines of steps and of heat steps, with their widths.
 STEP = {"step": 4, "time": 7, "newton": 6, "krylov": 6, "residual": 9}
 STEP |= {"open": 6, "slip": 6, "penetration": 12, "elapsed": 9, "left": 9}
-HEAT = {"step": 4, "time": 11, "step of": 10, "newton": 6, "krylov": 6}
-HEAT |= {"hottest": 10, "balance": 9, "elapsed": 9}
+HEAT_COLUMNS = {"step": 4, "time": 11, "step of": 10, "newton": 6, "krylov": 6}
+HEAT_COLUMNS |= {"hottest": 10, "balance": 9, "elapsed": 9}
 
 
 def aligned_line(columns: Mapping[str, int], texts: Iterable[object]) -> str:
@@ -55,14 +55,14 @@ def step_line(
     return aligned_line(STEP, (step.number, f"{step.time:.4g}", *effort, *states, *times))
 
 
-def heat_line(number: int, accepted: HeatStep, row: dict[str, float], wall: float) -> str:
+def heat_line(number: int, heat_step: HeatStep, row: dict[str, float], wall: float) -> str:
     """Return the line of an accepted heat step; ``wall`` is the time since the run began [s]."""
     hottest = max(v for k, v in row.items() if k.endswith("temperature_max [degC]"))
-    outcome = accepted.outcome
-    times = (f"{accepted.seconds:.4g} s", f"{accepted.dt:.3g} s")
+    outcome = heat_step.outcome
+    times = (f"{heat_step.seconds:.4g} s", f"{heat_step.dt:.3g} s")
     state = (f"{hottest:.1f} degC", f"{row['heat balance [-]']:.1e}", f"{wall:.1f} s")
     return aligned_line(
-        HEAT, (number, *times, outcome.iterations, outcome.linear_iterations, *state)
+        HEAT_COLUMNS, (number, *times, outcome.iterations, outcome.linear_iterations, *state)
     )
 
 
@@ -114,7 +114,7 @@ def headline(summary: Summary) -> Iterator[str]:
         if "collar_force" in q:
             yield _sentence("stem", name_of_stem, q, template_name=_of_collar(q))
     for name, q in rows.get("regions", {}).items():
-        if CEMENT in q:
+        if CEMENT_NUMBER in q:
             tension = _with_unit("regions", "principal_p99", q)
             yield f"99 % of the {name} has a tension below {tension}"
     bones = {n: q for n, q in rows.get("thermal.regions", {}).items() if "cem43_max" in q}
@@ -169,7 +169,7 @@ TABLES: dict[str, dict[str, str]] = {
 }
 FAILING = "failure_load_factor"
 # Number that only cement has.
-CEMENT = "volume_over_3_MPa"
+CEMENT_NUMBER = "volume_over_3_MPa"
 # Mark of unresolved numbers in tables, where the words would need wide columns.
 STAR = "*"
 LEGEND = "* not resolved: the error is larger than the number; refine the mesh"

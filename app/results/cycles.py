@@ -12,52 +12,54 @@ from app.case.summary import Numbers, StageCycles
 AREAS = ("area_inducible_over_40um", "area_inducible_over_150um")
 OF_CYCLES = {"motion_p99", "micromotion_p99", "inducible_p99", "dissipation", *AREAS}
 # Dissipation per cycle, relative to that up to the first peak, below which it vanishes.
-NOTHING = 0.02
+VANISHING_DISSIPATION = 0.02
 # Relative change from the first to the last cycle below which the dissipation counts as constant.
 SAME = 0.1
 
 # Numbers of the stem and of each interface at a peak or valley, by name.
-Turn = dict[str, dict[str, float]]
+Reversal = dict[str, dict[str, float]]
 
 
 class Cycles:
     """Numbers at the peaks and valleys of the loads, by stage."""
 
-    saved = ("turns",)
+    saved = ("reversals",)
 
     def __init__(self) -> None:
         # Dissipation at every peak and valley [N mm], and the numbers at the last three.
-        self.turns: dict[str, tuple[list[float], list[Turn]]] = {}
+        self.reversals: dict[str, tuple[list[float], list[Reversal]]] = {}
 
     def add(self, stage: str, stem: Numbers, interfaces: Mapping[str, Numbers]) -> None:
         """Add the numbers at a peak or a valley of the loads of a stage; these alternate."""
-        turn_numbers: Turn = {}
+        numbers_at_reversal: Reversal = {}
         if stem:
-            turn_numbers["stem"] = dict(stem)
+            numbers_at_reversal["stem"] = dict(stem)
         dissipation = 0.0
         for name, numbers in interfaces.items():
-            turn_numbers[name] = {key: numbers[key] for key in sorted(OF_CYCLES) if key in numbers}
+            numbers_at_reversal[name] = {
+                key: numbers[key] for key in sorted(OF_CYCLES) if key in numbers
+            }
             dissipation += numbers.get("dissipation", 0.0)
-        dissipations, last_turns = self.turns.setdefault(stage, ([], []))
+        dissipations, last_reversals = self.reversals.setdefault(stage, ([], []))
         dissipations.append(dissipation)
-        last_turns.append(turn_numbers)
-        del last_turns[:-3]
+        last_reversals.append(numbers_at_reversal)
+        del last_reversals[:-3]
 
     def summary(self) -> dict[str, StageCycles]:
         """Parts of the motions of each stage with at least two peaks (`parts_of_cycles`)."""
         return {
-            stage: parts_of_cycles(dissipated, last_turns)
-            for stage, (dissipated, last_turns) in self.turns.items()
+            stage: parts_of_cycles(dissipated, last_reversals)
+            for stage, (dissipated, last_reversals) in self.reversals.items()
             if len(dissipated) > 2
         }
 
 
-def parts_of_cycles(dissipations: list[float], last_turns: list[Turn]) -> StageCycles:
+def parts_of_cycles(dissipations: list[float], last_reversals: list[Reversal]) -> StageCycles:
     """Permanent and inducible parts of motions, and dissipation from peak to peak.
 
     Args:
         dissipations: Dissipation at every peak and valley, which alternate [N mm].
-        last_turns: Numbers at the last three of them.
+        last_reversals: Numbers at the last three of them.
 
     Returns:
         ``permanent``: motions in the last valley, by place and key. ``inducible``: motion from this
@@ -65,10 +67,10 @@ def parts_of_cycles(dissipations: list[float], last_turns: list[Turn]) -> StageC
         areas in which it exceeds the bounds of ingrowth. ``dissipation`` [N mm] of each cycle
         after the first peak, and its ``trend``.
     """
-    *_, valley, peak = last_turns if len(dissipations) % 2 else last_turns[:-1]
-    permanent: Turn = {}
-    inducible: Turn = {}
-    areas: Turn = {}
+    *_, valley, peak = last_reversals if len(dissipations) % 2 else last_reversals[:-1]
+    permanent: Reversal = {}
+    inducible: Reversal = {}
+    areas: Reversal = {}
     for owner, numbers in valley.items():
         if owner == "stem":
             permanent[owner] = numbers
@@ -102,7 +104,7 @@ def trend(first_dissipation: float, per_cycle: list[float]) -> str:
         first_dissipation: Dissipation up to the first peak [N mm].
         per_cycle: Dissipation of each cycle after it [N mm].
     """
-    if abs(per_cycle[-1]) <= NOTHING * first_dissipation:
+    if abs(per_cycle[-1]) <= VANISHING_DISSIPATION * first_dissipation:
         return "vanishes"
     if abs(per_cycle[-1] - per_cycle[0]) <= SAME * per_cycle[0]:
         return "stays"

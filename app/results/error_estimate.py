@@ -2,22 +2,24 @@ r"""Estimated errors of the numbers of a run, from coarser companion runs.
 
 A number X of a run on a mesh of size h has the estimated error
 
-.. math:: e = \max(a\, |X_h - X_{2h}|,\; b\, m\, |X_h|),
+.. math:: e = \max(e_1,\; b\, m\, |X_h|), \qquad e_1 = a\, |X_h - X_{2h}| + |C| / n,
 
-where :math:`X_{2h}` is the number of a companion on a mesh of size 2 h. The median m of
-:math:`|X_h - X_{2h}| / |X_h|` is taken over the numbers of a group (`LIKE`). The second term is
-needed because two meshes may agree by chance. Numbers of parts (rim, tip, coats, Gruen zones)
-change more from mesh to mesh than those of whole interfaces: they have a median and a factor b of
-their own. For a Gruen zone, :math:`|X_h|` is at least a quarter of the mean over all zones. For
-temperatures the second term is a factor times the change to a mesh of size 3 h, if there is such a
-companion.
+where :math:`X_{2h}` is the number of a companion on a mesh of size 2 h, and C / n the error of n
+steps, see below. The median m of :math:`e_1 / (a |X_h|)` is taken over the numbers of a group
+(`CLASS_OF_MEDIAN`). The term with m is needed because two meshes may agree by chance.
+Numbers of parts (rim, tip, coats, Gruen zones) change more from mesh to mesh than those of whole
+interfaces: they use a separate median and a separate factor b. For a Gruen zone, :math:`|X_h|` is
+at least a quarter of the mean over all zones. For temperatures b is zero. If there is a companion
+of size 3 h, their error is the larger of its scaled change and :math:`|X_h - X_{2h}|`, each times
+its factor in `FACTORS_OF_TWO_MESHES`.
 
 The factors a and b of each class were fitted to six hips and to scenes with heat. They were tested
 on other cases (docs/verification.md). Numbers of press fits have larger errors, whose factors were
-fitted to three such hips. The order of convergence alone also gives a factor a. With this factor
-the true error exceeds the estimate too often, because contact begins and ends inside cells. The
-change to a companion of another mesh size is scaled to 2 h by the order of convergence
-in `case.quantities`.
+fitted to three such hips. A number outside these classes has the factor a of Richardson's
+extrapolation, :math:`1 / (2^p - 1)` with its order of convergence p, and no b. With that factor the
+true error exceeds the estimate more often, because contact begins and ends inside cells. The change
+to a companion of another mesh size is scaled to 2 h by the order of convergence in
+`case.quantities`.
 
 Numbers that are zero do not enter medians. A number is zero if it is rounding compared with the
 largest number of its unit. It is also zero if it is small compared with that number and changes by
@@ -56,19 +58,20 @@ from app.foundation.arrays import Floats
 
 # Mesh size over that of the run: of the companion for the error of the mesh, and of the companions
 # for the error of the step.
-COARSER = (2.0, 3.0)
+COARSENINGS = (2.0, 3.0)
 # Power of the error of all time steps with which the tolerance of one step scales.
 TOLERANCE_POWER = {"sdirk4": 1.0, "backward_euler": 2.0}
-# A peak is unsettled if it changes by more than this part from the next mesh to that of the run.
+# A peak is unsettled if it changes by more than this fraction between the run and the next coarser
+# mesh.
 UNSETTLED = 0.1
 # A number is rounding below this fraction of the largest number of its unit.
-ROUNDING = 1e-6
-# Below this part it is zero if it changes from mesh to mesh by at least its size.
-SMALL = 0.01
-# A mesh must be coarser than this to be compared.
-LEAST = 1.25
+ROUNDING_OF_NUMBERS = 1e-6
+# Below this fraction it is zero if it changes from mesh to mesh by at least its size.
+SMALL_FRACTION = 0.01
+# Smallest mesh size over that of the run with which a mesh is compared [-].
+LEAST_COARSENING = 1.25
 # Factors a and b at first and at second order, by the orders of convergence of a class.
-FACTORS = {
+ERROR_FACTORS = {
     ORDER_OF_MOTION: ((2.8, 6.0), (0.7, 0.8)),
     ORDER_OF_SLIP: ((3.6, 7.0), (0.35, 1.75)),
     ORDER_OF_TRACTION: ((2.0, 1.4), (0.6, 1.05)),
@@ -78,7 +81,7 @@ FACTORS = {
     ORDER_OF_DOSE: ((5.0, 1.5), (5.0, 1.5)),
 }
 # Factors on the changes to two coarser meshes, the finer one first, of classes that use both.
-TWO_MESHES = {ORDER_OF_HEAT: (1.75, 1.25)}
+FACTORS_OF_TWO_MESHES = {ORDER_OF_HEAT: (1.75, 1.25)}
 # Factor b of numbers of parts, fitted to four hips (docs/verification.md).
 FACTOR_OF_PARTS = {
     ORDER_OF_MOTION: (3.5, 1.75),
@@ -99,20 +102,20 @@ FACTOR_OF_PRESS_FITS = {
 # Size of a number of a Gruen zone over the mean of all zones, at least.
 LEAST_OF_MEAN = 0.25
 # Classes that share their median change.
-LIKE = {
+CLASS_OF_MEDIAN = {
     ORDER_OF_SLIP: ORDER_OF_MOTION,
     ORDER_OF_TRACTION: ORDER_OF_MOTION,
     ORDER_OF_STRESS: ORDER_OF_MOTION,
 }
 # Share of the numbers of a hip whose true error is below the estimate, at first and second order.
 SHARE_WITHIN_ERROR = (0.92, 0.91)
-# Sections in which two meshes may agree by chance.
-CHANCE = {"interfaces", "regions", "stem", "femur", "cure"}
-CHANCE |= {"thermal.regions", "thermal.interfaces"}
+# Sections whose errors are raised to the typical error of their group.
+SECTIONS_WITH_MEDIAN = {"interfaces", "regions", "stem", "femur", "cure"}
+SECTIONS_WITH_MEDIAN |= {"thermal.regions", "thermal.interfaces"}
 # The section of these whose numbers are not in the median: strains at points of the cortex.
 OUTSIDE_MEDIAN = "femur"
 # Peaks that are compared with each other.
-ALIKE = ("gap_max", "slip_max")
+PEAKS_OF_MOTION = ("gap_max", "slip_max")
 
 
 @dataclass(frozen=True)
@@ -159,14 +162,16 @@ class Estimated:
     of_part: bool
     in_median: bool = True
 
-    def change(self, order: int) -> float:
+    def change(self, degree_index: int) -> float:
         """Relative change to the companion [-]."""
-        return float(self.errors[self.key]) / (FACTORS[self.orders][order][0] * self.size)
+        return float(self.errors[self.key]) / (
+            ERROR_FACTORS[self.orders][degree_index][0] * self.size
+        )
 
     @property
     def group(self) -> tuple[bool, Orders]:
         """Parts or not, and class: numbers of a group have one median."""
-        return self.of_part, LIKE.get(self.orders, self.orders)
+        return self.of_part, CLASS_OF_MEDIAN.get(self.orders, self.orders)
 
 
 # Companions with their sections, and with numbers of one owner.
@@ -190,17 +195,17 @@ def companions(case: Case) -> tuple[Companion, ...]:
     else:
         step_ratio = 0.5 if is_timed else 1.0
     # Mesh sizes over that of the run, as far as the geometry can be meshed.
-    coarsest = case.geometry.coarsest_size
-    coarsest_ratio = coarsest / case.mesh.size if coarsest else 0.0
-    possible = dict.fromkeys(min(factor, coarsest_ratio) for factor in COARSER)
-    coarsenings = tuple(coarsening for coarsening in possible if coarsening > LEAST)
+    coarsest_size = case.geometry.coarsest_size
+    coarsest_ratio = coarsest_size / case.mesh.size if coarsest_size else 0.0
+    possible = dict.fromkeys(min(factor, coarsest_ratio) for factor in COARSENINGS)
+    coarsenings = tuple(coarsening for coarsening in possible if coarsening > LEAST_COARSENING)
     meshes = tuple(_companion(case, coarsening, step_ratio) for coarsening in coarsenings)
     if not (is_frictional or is_timed) or (len(meshes) == 1 and step_ratio < 1):
         # On one coarser mesh the difference itself shows half the steps well enough.
         return meshes[:1]
-    coarsest = (1.0, *coarsenings)[-1]
+    largest_coarsening = (1.0, *coarsenings)[-1]
     steps = 2.0 if step_ratio == 1 else 1.0 if meshes else step_ratio
-    return (*meshes, _companion(case, coarsest, steps))
+    return (*meshes, _companion(case, largest_coarsening, steps))
 
 
 def _companion(case: Case, coarsening: float, steps: float) -> Companion:
@@ -218,7 +223,7 @@ def _companion(case: Case, coarsening: float, steps: float) -> Companion:
 
 def error_sources(solved: Sequence[Companion]) -> str:
     """Name the error sources covered: "mesh and step", "time step" or "load step"."""
-    if any(companion.coarsening > LEAST for companion in solved):
+    if any(companion.coarsening > LEAST_COARSENING for companion in solved):
         return "mesh and step"
     return (
         "time step"
@@ -240,7 +245,7 @@ def add_error_estimates(run: Summary, case: Case, solved: Solved) -> dict[str, l
         Maxima that still change with the mesh, by names such as ``interface.pressure_max``, the
         largest change first. Each has pairs of mesh size [mm] and value, the finest mesh first.
     """
-    order = case.mesh.order - 1
+    degree_index = case.mesh.order - 1
     unsettled: list[tuple[float, str, list[list[float]]]] = []
     estimated_numbers: list[Estimated] = []
     tables = list(numbers_of(run, parts=True))
@@ -263,11 +268,11 @@ def add_error_estimates(run: Summary, case: Case, solved: Solved) -> dict[str, l
         ]
         available = [q for k, q in TABLE[section].items() if numbers.get(k) is not None]
         _add_errors(
-            numbers, {q.key: q.order for q in available if q.order}, order, companion_numbers
+            numbers, {q.key: q.order for q in available if q.order}, degree_index, companion_numbers
         )
-        for q in available if section in CHANCE or section in ADDED else ():
+        for q in available if section in SECTIONS_WITH_MEDIAN or section in ADDED else ():
             error, value = numbers.get(f"{q.key}_error"), numbers[q.key]
-            if error is None or q.vector or q.order not in FACTORS or not value:
+            if error is None or q.vector or q.order not in ERROR_FACTORS or not value:
                 continue
             estimated = Estimated(
                 numbers,
@@ -277,30 +282,32 @@ def add_error_estimates(run: Summary, case: Case, solved: Solved) -> dict[str, l
                 of_part=(section, name) not in run_numbers,
                 in_median=section != OUTSIDE_MEDIAN,
             )
-            if not is_zero(value, estimated.change(order) * abs(value), largest[q.unit]):
+            if not is_zero(value, estimated.change(degree_index) * abs(value), largest[q.unit]):
                 estimated_numbers.append(estimated)
         for q in available:
             if not q.peak:
                 continue
             values = _values_on_meshes(q.key, numbers, case, companion_numbers)
+            # The value of the run itself if there is no coarser mesh.
+            coarser_value = values[min(1, len(values) - 1)][1]
             change = _unsettled_change(
-                values[0][1], values[:2][-1][1], largest_peak[_peak_kind(q.key)], largest[q.unit]
+                values[0][1], coarser_value, largest_peak[_peak_kind(q.key)], largest[q.unit]
             )
             if change is not None:
                 unsettled.append((change, f"{name}.{q.key}", values))
-    estimated_numbers += _zone_errors(run, order, solved)
-    _raise_to_typical_errors(estimated_numbers, order)
+    estimated_numbers += _zone_errors(run, degree_index, solved)
+    _raise_to_typical_errors(estimated_numbers, degree_index)
     if any(law.is_press_fit for law in case.interfaces.values()):
         for number in estimated_numbers:
             factors = FACTOR_OF_PRESS_FITS.get(number.orders, (1.0, 1.0))
-            number.errors[number.key] *= factors[order]
+            number.errors[number.key] *= factors[degree_index]
     largest_first = sorted(unsettled, key=lambda peak: peak[0], reverse=True)
     return {name: values for _, name, values in largest_first}
 
 
 def _peak_kind(key: str) -> str:
     """Return the kind of a maximum; all motions are of one kind."""
-    return "motion" if key in ALIKE else key
+    return "motion" if key in PEAKS_OF_MOTION else key
 
 
 def _unsettled_change(
@@ -316,28 +323,28 @@ def _unsettled_change(
     """
     size = max(abs(value), UNSETTLED * largest_peak)
     change = abs(value - coarser_value)
-    if is_zero(value, change, largest) and abs(coarser_value) < SMALL * largest:
+    if is_zero(value, change, largest) and abs(coarser_value) < SMALL_FRACTION * largest:
         return None
     return change / max(size, abs(coarser_value)) if change > UNSETTLED * size else None
 
 
-def _raise_to_typical_errors(estimated_numbers: Sequence[Estimated], order: int) -> None:
-    """Raise errors that are small by chance, to a fraction of the median of their group.
+def _raise_to_typical_errors(estimated_numbers: Sequence[Estimated], degree_index: int) -> None:
+    """Raise errors that are small by chance to b m |X|, with the median m of their group.
 
     Args:
         estimated_numbers: The errors.
-        order: Polynomial order of the displacement less one.
+        degree_index: Polynomial order of the displacement less one.
     """
     changes: dict[tuple[bool, Orders], list[float]] = {}
     for number in estimated_numbers:
         if number.in_median:
-            changes.setdefault(number.group, []).append(number.change(order))
+            changes.setdefault(number.group, []).append(number.change(degree_index))
     typical = {group: float(np.median(of_group)) for group, of_group in changes.items()}
     for number in estimated_numbers:
         factor = (
-            FACTOR_OF_PARTS[number.orders][order]
+            FACTOR_OF_PARTS[number.orders][degree_index]
             if number.of_part
-            else FACTORS[number.orders][order][1]
+            else ERROR_FACTORS[number.orders][degree_index][1]
         )
         smallest_error = factor * typical[number.group] * number.size
         number.errors[number.key] = max(number.errors[number.key], smallest_error)
@@ -366,10 +373,12 @@ def is_zero(value: float, change: float, largest: float) -> bool:
         largest: Largest absolute value of the numbers of its unit.
     """
     size = abs(value)
-    return size <= ROUNDING * largest or (size < SMALL * largest and change >= size)
+    return size <= ROUNDING_OF_NUMBERS * largest or (
+        size < SMALL_FRACTION * largest and change >= size
+    )
 
 
-def _zone_errors(run: Summary, order: int, solved: Solved) -> list[Estimated]:
+def _zone_errors(run: Summary, degree_index: int, solved: Solved) -> list[Estimated]:
     """Add errors to the means of interfaces and the strain energy of Gruen zones; return them."""
     zones = run.get("gruen", {})
     estimated_numbers: list[Estimated] = []
@@ -384,11 +393,11 @@ def _zone_errors(run: Summary, order: int, solved: Solved) -> list[Estimated]:
                 for q in TABLE["interfaces"].values()
                 if q.order and q.key.endswith("_mean") and q.key in at_interface
             }
-            relatives = [
+            numbers_of_companions = [
                 (companion, companion_summary.get("interfaces", {}).get(name, {}))
                 for companion, companion_summary in companion_numbers
             ]
-            _add_errors(at_interface, orders, order, relatives)
+            _add_errors(at_interface, orders, degree_index, numbers_of_companions)
             in_zones = [z["interfaces"].get(name, {}) for z in zones.values()]
             estimated_numbers += [
                 Estimated(
@@ -402,12 +411,13 @@ def _zone_errors(run: Summary, order: int, solved: Solved) -> list[Estimated]:
                 if f"{key}_error" in at_interface
             ]
         density = numbers["strain_energy_density"]
-        relatives = [
+        numbers_of_companions = [
             (companion, companion_summary.get("strain_energy_density", {}))
             for companion, companion_summary in companion_numbers
         ]
         errors = {
-            region: _error(region, ORDER_OF_STRESS, order, density, relatives) for region in density
+            region: _error(region, ORDER_OF_STRESS, degree_index, density, numbers_of_companions)
+            for region in density
         }
         known_errors = {
             region: error for region, error in errors.items() if isinstance(error, float)
@@ -435,10 +445,12 @@ def _size_in_zones(value: float, key: str, in_zones: Sequence[Numbers]) -> float
 
 
 def _add_errors(
-    numbers: Numbers, orders: Mapping[str, Orders], order: int, companion_numbers: Others
+    numbers: Numbers, orders: Mapping[str, Orders], degree_index: int, companion_numbers: Others
 ) -> None:
     """Add errors to the numbers with these orders of convergence."""
-    errors = {key: _error(key, p, order, numbers, companion_numbers) for key, p in orders.items()}
+    errors = {
+        key: _error(key, p, degree_index, numbers, companion_numbers) for key, p in orders.items()
+    }
     numbers |= {f"{key}_error": error for key, error in errors.items() if error is not None}
 
 
@@ -453,17 +465,21 @@ def _values_on_meshes(
     for companion, companion_values in sorted(
         companion_numbers, key=lambda entry: -abs(entry[0].steps - 1)
     ):
-        if companion.coarsening > LEAST and companion_values.get(key) is not None:
+        if companion.coarsening > LEAST_COARSENING and companion_values.get(key) is not None:
             values[companion.case.mesh.size] = companion_values[key]
     return [[size, values[size]] for size in sorted(values)]
 
 
 def _error(
-    key: str, orders: Orders, order: int, run: Numbers, companion_numbers: Others
+    key: str, orders: Orders, degree_index: int, run: Numbers, companion_numbers: Others
 ) -> ErrorValue | None:
     """Error of one number or vector; None if it is unknown."""
-    convergence_order = orders[order]
-    factor = FACTORS[orders][order][0] if orders in FACTORS else 1 / (2**convergence_order - 1)
+    convergence_order = orders[degree_index]
+    factor = (
+        ERROR_FACTORS[orders][degree_index][0]
+        if orders in ERROR_FACTORS
+        else 1 / (2**convergence_order - 1)
+    )
     value = np.asarray(run[key])
     values_on_meshes = [
         (c.coarsening, c.steps, np.asarray(o[key]))
@@ -480,7 +496,9 @@ def _error(
         if c == mesh and s != steps
     ]
     step_error_constant = sum((o - finest_value) / (1 / s - 1 / steps) for s, o in pairs)
-    coarser_values = [k for k in values_on_meshes if k[0] > LEAST and (k[1] <= 1 or not pairs)]
+    coarser_values = [
+        k for k in values_on_meshes if k[0] > LEAST_COARSENING and (k[1] <= 1 or not pairs)
+    ]
     mesh_error: Floats | float = 0.0
     if coarser_values:
 
@@ -496,8 +514,8 @@ def _error(
         finer = min(coarser_values, key=lambda k: k[0])
         coarsest = max(coarser_values, key=lambda k: k[0])
         mesh_error = factor * change(*finer)
-        if orders in TWO_MESHES and coarsest[0] > finer[0]:
-            finer_factor, coarsest_factor = TWO_MESHES[orders]
+        if orders in FACTORS_OF_TWO_MESHES and coarsest[0] > finer[0]:
+            finer_factor, coarsest_factor = FACTORS_OF_TWO_MESHES[orders]
             mesh_error = np.maximum(
                 finer_factor * change(*finer), coarsest_factor * change(*coarsest)
             )

@@ -251,7 +251,7 @@ class MechanicalFields:
         self.bodies, self.space = problem.bodies, problem.space
         index_map = self.space.dofmap.index_map
         # Sums of stress times volume and of volume, at the nodes of a body.
-        self._sums = la.vector(index_map, len(COMPONENTS) + 1)
+        self._sums = la.vector(index_map, len(VTK_COMPONENTS) + 1)
 
     def values(
         self, nodes: OutputNodes, samples: ContactSamples | None, cells: int
@@ -338,20 +338,20 @@ class MechanicalFields:
         have no mean.
         """
         dofs, X = self.space.dofmap.list, interpolation_points(self.space)
-        nodal, mean = (np.zeros((n, len(COMPONENTS))) for n in (len(nodes.dof), cells))
+        nodal, mean = (np.zeros((n, len(VTK_COMPONENTS))) for n in (len(nodes.dof), cells))
         for k, regions in enumerate(nodes.parts):
-            sums = self._sums.array.reshape(-1, len(COMPONENTS) + 1)
+            sums = self._sums.array.reshape(-1, len(VTK_COMPONENTS) + 1)
             sums[:] = 0.0
             for region, owned in self._stresses.cells.items():
                 if region not in regions:
                     continue
                 σ = _components(self._stresses.evaluate(region))
                 mean[owned] = self._stresses.volume_fractions[region] @ σ
-                at_nodes = extrapolated(σ, self._stresses.points[region], X)
+                at_nodes = extrapolated(σ, self._stresses.points_of_region[region], X)
                 volume = self._stresses.points_and_volumes(region)[1].sum(axis=1)
                 owned_dofs = dofs[owned].ravel()
                 # A column at a time takes a tenth of the time of np.add.at.
-                for c in range(len(COMPONENTS)):
+                for c in range(len(VTK_COMPONENTS)):
                     weighted = at_nodes[..., c] * volume[:, None]
                     sums[:, c] += np.bincount(owned_dofs, weighted.ravel(), len(sums))
                 sums[:, -1] += np.bincount(owned_dofs, np.repeat(volume, len(X)), len(sums))
@@ -367,17 +367,17 @@ class MechanicalFields:
 CENTRE = np.full((1, 3), 0.25)
 
 # Components of a symmetric tensor in VTK's order: XX, YY, ZZ, XY, YZ, XZ.
-COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
+VTK_COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
 
 
 def _components(σ: Floats) -> Floats:
-    return np.stack([σ[..., i, j] for i, j in COMPONENTS], axis=-1)
+    return np.stack([σ[..., i, j] for i, j in VTK_COMPONENTS], axis=-1)
 
 
 def named_stress(σ: Floats) -> dict[str, Floats]:
     """Return fields of stress (n, 6) by name: tensor, von Mises, principal stresses [MPa]."""
     tensor = np.empty((len(σ), 3, 3))
-    for k, (i, j) in enumerate(COMPONENTS):
+    for k, (i, j) in enumerate(VTK_COMPONENTS):
         tensor[:, i, j] = tensor[:, j, i] = σ[:, k]
     principal: Floats = np.linalg.eigvalsh(tensor).astype(np.float64)
     differences = principal - np.roll(principal, 1, axis=1)
@@ -447,7 +447,7 @@ def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, F
         **{"gap": s.opening, "slip": s.slip, "slip_path": s.path, "motion": s.motion},
         **{"pressure": s.pressure, "shear": s.shear},
     }
-    if contact.between:
+    if contact.slides_finitely:
         del fields["motion"], fields["slip"]
     if contact.press_fit:
         fields["micromotion"] = s.micromotion

@@ -263,7 +263,7 @@ class ContactSamples:
         }
         point_means = {"pressure": self.pressure.copy(), "shear": self.shear}
         # With finite sliding, forces per area are not means weighted by shape functions.
-        if self.contacts[i].between:
+        if self.contacts[i].slides_finitely:
             return {k: TractionSize(m, m, point_means[k]) for k, m in means.items()}
         means["pressure"] = surface.of_faces(self._pressures)
         if self.contacts[i].law.layer is None:
@@ -299,7 +299,7 @@ class ContactSamples:
         numbers = {}
         for i, contact in enumerate(self.contacts):
             numbers[contact.name] = _numbers(self, i)
-            if not contact.between:
+            if not contact.slides_finitely:
                 numbers[contact.name] |= depths[i] | {"facet_size": self.facet_sizes[i]}
         return numbers
 
@@ -375,7 +375,7 @@ def _of_part(
     numbers: Numbers = {}  # of functions, what is asked for is computed
     tractions = s.tractions[i]
     # With finite sliding the jump is not a motion, a gap not a debonding, and slips do not add up.
-    left_out = ("slip", "motion", "inducible") if contact.between else ()
+    left_out = ("slip", "motion", "inducible") if contact.slides_finitely else ()
     if not contact.press_fit:
         left_out = (*left_out, "micromotion")
     for name, values in s.sizes.items():
@@ -391,7 +391,7 @@ def _of_part(
             f"{name}_p99": partial(field.percentile, 0.99),
             f"{name}_mean": surface.field(mean, part).mean,
         }
-        if name in ("gap", "slip", "motion") and not contact.between:
+        if name in ("gap", "slip", "motion") and not contact.slides_finitely:
             numbers[f"area_{name}_over_30um"] = partial(field.area_above, MICROMOTION)
         if name == "micromotion" or (name == "inducible" and contact.press_fit):
             numbers |= {

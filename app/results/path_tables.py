@@ -36,7 +36,7 @@ from meshes.paths import PathPoints
 # Fields that are computed from the stress at a point.
 FROM_STRESS = ("von_mises", "principal_max", "principal_min")
 # Digits of numbers in files.
-DIGITS = 10
+DIGITS_OF_NUMBERS = 10
 # Decimals of positions [mm].
 PLACE = 9
 # Columns before those of the fields.
@@ -216,7 +216,7 @@ class PathTables:
 
 def _digits(value: float) -> object:
     """Round a number to the digits of the file; an empty text for nan."""
-    return float(f"{value:.{DIGITS}g}") if np.isfinite(value) else ""
+    return float(f"{value:.{DIGITS_OF_NUMBERS}g}") if np.isfinite(value) else ""
 
 
 def _sampled(

@@ -62,7 +62,7 @@ class SweepRow(RunRow):
 
 
 # Quantities that the text table shows, the first that a run has, and words around the unit.
-MOST = {
+TEXT_QUANTITIES = {
     "micromotion_p99": "micromotion (p99) of",
     "slip_p99": "slip (p99) on",
     "temperature_max": "in",
@@ -149,7 +149,7 @@ def text_of_runs(rows: Sequence[RunRow]) -> str:
 
 def most_informative(numbers: Mapping[str, float]) -> str:
     """Return the largest micromotion or slip of a run, or its highest temperature, as text."""
-    for key, text in MOST.items():
+    for key, text in TEXT_QUANTITIES.items():
         values = {name: value for name, value in numbers.items() if name.endswith(f".{key}")}
         if values:
             name = max(values, key=lambda name: values[name])

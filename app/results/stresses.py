@@ -20,12 +20,12 @@ from app.results.percentiles import percentile
 from forms import elasticity
 
 # Components of a symmetric tensor, in the order of `elasticity.symmetric`.
-COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+UFL_COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 # Cache of the stiffness of laws: UFL takes 20 ms, and companions and variations share it.
 _MODULI: dict[tuple[type[Elastic], str], Floats] = {}
 # Degree of a quadrature with positive weights for integrals of powers of stress. (The rule of
 # degree 7 has a negative weight.)
-FINE = 9
+FINE_DEGREE = 9
 
 
 class Stresses:
@@ -33,14 +33,15 @@ class Stresses:
 
     Attributes:
         cells: Owned cells of each region.
-        points: Quadrature points of each region in the reference cell (points, 3).
+        points_of_region: Quadrature points of each region in the reference cell (points, 3).
         volume_fractions: Fraction of the volume of a cell at each of these points (points,).
 
     Args:
         around_z: True if the z axis is the axis of a stem, so that hoop stress is defined.
         depth: Function that returns the distance of points (n, 3) below the neck cut [mm]; the
             stem above it is the neck. None without a neck cut.
-        fine: Regions with the quadrature of degree `FINE` instead of that of the energy.
+        fine: The only regions whose stress is computed, with the quadrature of degree
+            `FINE_DEGREE`. Without them all elastic regions have the usual degree.
     """
 
     def __init__(
@@ -51,12 +52,13 @@ class Stresses:
         fine: Collection[str] = (),
     ) -> None:
         self._problem, self._around_z, self._depth = problem, around_z, depth
-        # Percentiles need the distribution within a cell, which is coarse beside a boundary layer.
+        # Cells are coarse near edges, so percentiles need several points per cell: degree 4 at
+        # second order, where the energy needs 2.
         usual_degree = 4 * (problem.scene.order - 1)
         quadrature = basix.make_quadrature(
-            basix.CellType.tetrahedron, FINE if fine else usual_degree
+            basix.CellType.tetrahedron, FINE_DEGREE if fine else usual_degree
         )
-        self._points, weights = (np.asarray(a) for a in quadrature)
+        self._default_points, weights = (np.asarray(a) for a in quadrature)
         elastic = [
             elastic_region
             for elastic_region in problem.scene.elastic
@@ -67,7 +69,7 @@ class Stresses:
             elastic_region.region: body_forms.region_cells(elastic_region.region)
             for elastic_region in elastic
         }
-        self.points: dict[str, Floats] = dict.fromkeys(self.cells, self._points)
+        self.points_of_region: dict[str, Floats] = dict.fromkeys(self.cells, self._default_points)
         self.volume_fractions: dict[str, Floats] = dict.fromkeys(
             self.cells, weights / weights.sum()
         )
@@ -77,13 +79,15 @@ class Stresses:
             for r in body_forms.path_dependent_regions
             if problem.stress_history
         }
-        for region, stress_history in self._stress_histories.items() if not fine else ():
-            self.points[region] = stress_history.points
-            self.volume_fractions[region] = stress_history.weights / stress_history.weights.sum()
+        if not fine:
+            for region, stress_history in self._stress_histories.items():
+                weights = stress_history.weights
+                self.points_of_region[region] = stress_history.points
+                self.volume_fractions[region] = weights / weights.sum()
         # Varying stiffness at the points, relative to its largest value.
         self._relative: dict[str, Floats] = {}
         self.follow_density(all_regions=True)
-        self._places: dict[str, tuple[Floats, Floats]] = {}
+        self._positions: dict[str, tuple[Floats, Floats]] = {}
         # Forms of the elastic strain of regions with free strain. The others share one form.
         self._with_free_strain: dict[str, fem.Expression] = {}
         self._moved = fem.Function(problem.space)
@@ -101,7 +105,7 @@ class Stresses:
     def follow_density(self, all_regions: bool = False) -> None:
         """Update stiffness that follows a density; with ``all_regions`` all varying stiffness."""
         for elastic_region in self._problem.scene.elastic:
-            points = self.points.get(elastic_region.region)
+            points = self.points_of_region.get(elastic_region.region)
             if points is None:
                 continue  # not among the fine regions
             if elastic_region.varies and (all_regions or elastic_region.changing_density):
@@ -111,7 +115,10 @@ class Stresses:
 
     def _expression(self, ε: Expr) -> fem.Expression:
         with self._problem.body_forms.timing.phase("compile", "stress"):
-            return fem.Expression(ε, self._points, comm=self._problem.comm)
+            return fem.Expression(ε, self._default_points, comm=self._problem.comm)
+
+    def _elastic_region(self, region: str) -> Elastic:
+        return next(e for e in self._problem.scene.elastic if e.region == region)
 
     def _elastic_strain(self, region: str) -> Floats:
         """Strain of a region that causes stress, without thermal and other free strain [-]."""
@@ -121,14 +128,14 @@ class Stresses:
             displacement = problem.displacements()[problem.bodies.body_of_region[region]]
             expression, self._moved.x.array[:] = self._strain, displacement.x.array
         if not len(cells):
-            return np.zeros((0, len(self._points), 3, 3))
+            return np.zeros((0, len(self._default_points), 3, 3))
         return expression.eval(problem.tagged.mesh, cells).reshape(len(cells), -1, 3, 3)
 
     def evaluate(self, region: str) -> Floats:
         """Return stress at the points of a region's owned cells (cells, points, 3, 3) [MPa]."""
         stress_history = self._stress_histories.get(region)
         if stress_history:
-            σ, cell_points = stress_history.stress(region), self.points[region]
+            σ, cell_points = stress_history.stress(region), self.points_of_region[region]
             if cell_points is stress_history.points:
                 return σ
             rows = σ.reshape(*σ.shape[:2], 9)
@@ -137,11 +144,7 @@ class Stresses:
 
     def _stress(self, region: str, ε: Floats) -> Floats:
         """Return the stress of elastic strain at a region's points (cells, points, 3, 3) [MPa]."""
-        elastic_region = next(
-            elastic_region
-            for elastic_region in self._problem.scene.elastic
-            if elastic_region.region == region
-        )
+        elastic_region = self._elastic_region(region)
         rotating_fibre = (
             elastic_region.fibre
             if elastic_region.fibre is not None and elastic_region.fibre.curved is True
@@ -172,13 +175,13 @@ class Stresses:
 
     def points_and_volumes(self, region: str) -> tuple[Floats, Floats]:
         """Positions (cells * points, 3) [mm] and volumes (cells, points) [mm3] of the points."""
-        if region not in self._places:  # cached, because all states and variations share them
+        if region not in self._positions:  # cached, because all states and variations share them
             body_forms = self._problem.body_forms
             x, volumes = body_forms.points_and_volumes(
-                region, self.points[region], self.volume_fractions[region]
+                region, self.points_of_region[region], self.volume_fractions[region]
             )
-            self._places[region] = x.reshape(-1, 3), volumes
-        return self._places[region]
+            self._positions[region] = x.reshape(-1, 3), volumes
+        return self._positions[region]
 
     def hoop_strain(self, region: str) -> Floats:
         """Return the elastic hoop strain about the z axis (cells, points) [-]."""
@@ -195,15 +198,12 @@ class Stresses:
         ε = self._elastic_strain(region)
         return np.asarray(np.einsum("cqij,cqij->cq", self._stress(region, ε), ε) / 2)
 
-    def region(self, region: str) -> Numbers:
+    def numbers_of_region(self, region: str) -> Numbers:
         """Published numbers on stress of a region, of a stem without its neck; collective."""
         σ = self.evaluate(region).reshape(-1, 3, 3)
         x, volumes = self.points_and_volumes(region)
         mean = np.trace(σ, axis1=1, axis2=2) / 3
         eigen = np.linalg.eigvalsh(σ)
-        cement = next(
-            e.tissue == "cement" for e in self._problem.scene.elastic if e.region == region
-        )
         mises = np.sqrt(((eigen - np.roll(eigen, 1, axis=1)) ** 2).sum(axis=1) / 2)
         local = np.stack([mises, _hoop(σ, x), *eigen[:, [2, 0]].T, mean, volumes.ravel()])
         values = self.gather(local)
@@ -220,7 +220,7 @@ class Stresses:
         s = self._stress_histories.get(region)
         if s and s.creep:
             extra_numbers |= s.creep.numbers(region)
-        if cement:
+        if self._elastic_region(region).tissue == "cement":
             _, _, tension, _, _, volume = values
             for level in TENSION_LEVELS:
                 extra_numbers[f"volume_over_{level}_MPa"] = float(volume[tension > level].sum())
@@ -276,7 +276,7 @@ def _moduli_by_energy(e: Elastic) -> Floats:
         )
     # Each of the last three stands for two entries of the tensors.
     component_tensors = np.zeros((6, 3, 3))
-    for k, (i, j) in enumerate(COMPONENTS):
+    for k, (i, j) in enumerate(UFL_COMPONENTS):
         component_tensors[k, i, j] = component_tensors[k, j, i] = 1.0 if i == j else 0.5
     matrix = component_tensors.reshape(6, 9)
     return np.asarray(matrix.T @ work @ matrix)

@@ -33,7 +33,7 @@ STEPS = 2
 # normal belongs to the surroundings, and over its area it is no pressure.
 SLIVER = 0.05
 # Fraction of a facet below which a piece is rounding.
-NOTHING = 1e-12
+ROUNDING_OF_PIECES = 1e-12
 # Fraction of an interface below which a part of it is rounding.
 LEAST_PART = 1e-6
 
@@ -85,7 +85,7 @@ class Pieces:
             cuts += [(self.facet[rows], np.stack(corners, axis=1)) for corners in kept_and_cut]
         facet, barycentric = (np.concatenate(column) for column in zip(*cuts, strict=True))
         pieces = Pieces(facet, barycentric)
-        has_area = pieces.share > NOTHING
+        has_area = pieces.share > ROUNDING_OF_PIECES
         return Pieces(facet[has_area], barycentric[has_area])
 
 

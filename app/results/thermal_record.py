@@ -23,7 +23,7 @@ from app.heat.nodes import InterfaceNodes, ProbePoint, Probes, Side, ThermalNode
 from app.heat.operators import HeatOperators
 from app.numerics.saved_state import node_keys
 from app.results.level_sets import RegionCells
-from app.results.necrosis import CELSIUS, COUNTS_FROM, DOSES, LEVELS, death_levels
+from app.results.necrosis import CELSIUS, COUNTS_FROM, DOSES, TEMPERATURE_LEVELS, death_levels
 from app.results.over_time import (
     Integrals,
     Maximum,
@@ -135,14 +135,14 @@ class RegionTemperatures:
             "temperature_mean": float(heat[0] / heat[1]) - CELSIUS,
             "temperature_end_max": end_extremes["end"] - CELSIUS,
         }
-        for level in LEVELS:
+        for level in TEMPERATURE_LEVELS:
             excess = self.peak.value - CELSIUS - level
             numbers[f"volume_over_{level:g}"] = cells.volume(nodes.dof, excess)
         return numbers
 
     def times(self, comm: MPI.Comm) -> dict[str, float]:
         """Return the longest time of a node above each level [s]; collective."""
-        keys = [f"seconds_over_{level:g}" for level in LEVELS]
+        keys = [f"seconds_over_{level:g}" for level in TEMPERATURE_LEVELS]
         return maxima(comm, {key: self.doses.totals[key] for key in keys})
 
     def necrosis(self, comm: MPI.Comm, cells: RegionCells, surface: Floats) -> dict[str, float]:
@@ -161,7 +161,7 @@ class RegionTemperatures:
 
 
 Interfaces = Mapping[str, tuple[Sequence[str], Sequence[str]]]
-SIDES = ("first", "second")
+SIDES_OF_INTERFACES = ("first", "second")
 
 # Largest deviation of a straight piece of a step from the parabola [K].
 _STRAIGHT = 0.01
@@ -291,7 +291,7 @@ class ThermalRecord:
             f"{name} temperature_max [degC]": r.now - CELSIUS for name, r in self.regions.items()
         }
         for name, nodes in self._interfaces.items():
-            for side_name, side in zip(SIDES, nodes.sides, strict=True):
+            for side_name, side in zip(SIDES_OF_INTERFACES, nodes.sides, strict=True):
                 T = self._on_side(side, lambda r: r.now)
                 local[f"{name} temperature_max_{side_name} [degC]"] = T - CELSIUS
             if not nodes.apart:
@@ -354,7 +354,7 @@ class ThermalRecord:
 
     def _interface(self, name: str) -> Numbers:
         numbers: Numbers = {}
-        for side_name, side in zip(SIDES, self._interfaces[name].sides, strict=True):
+        for side_name, side in zip(SIDES_OF_INTERFACES, self._interfaces[name].sides, strict=True):
             peak, position, peak_time = largest_of_ranks(
                 self._comm,
                 self._on_side(side, lambda r: r.peak.value),

@@ -30,7 +30,7 @@ BOTH = "mesh and step"
 # All sources of error that are estimated (`error_estimate.error_sources`).
 ERRORS = (BOTH, "time step", "load step")
 # Largest number of listed maxima that change with the mesh.
-MOST = 3
+MOST_MAXIMA = 3
 # Factor of the largest pressure over the largest mean at a point above which it depends on the
 # mesh.
 STEEP = 1.5
@@ -368,7 +368,7 @@ def _peaks(summary: Summary) -> list[Verdict]:
             )
     if not lines:
         return []
-    shown_lines = lines[:MOST]
-    if lines[MOST:]:
-        shown_lines.append(f"{len(lines) - MOST} more: `error.unsettled` in summary.json")
+    shown_lines = lines[:MOST_MAXIMA]
+    if lines[MOST_MAXIMA:]:
+        shown_lines.append(f"{len(lines) - MOST_MAXIMA} more: `error.unsettled` in summary.json")
     return [Verdict("; ".join(shown_lines), PEAKS, severity=Severity.WARNING)]

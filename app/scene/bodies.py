@@ -238,7 +238,7 @@ def contact_facets(
     columns_of_interfaces = []
     for index, c in enumerate(contacts):
         f = facets_between(tagged, c.slave, c.master)
-        if comm.allreduce(len(f.cells)) == 0 and not c.between:
+        if comm.allreduce(len(f.cells)) == 0 and not c.slides_finitely:
             raise InputError(
                 f"interfaces.{c.name}: its two sides share no facet of the mesh; allowed: regions "
                 "that touch on a conforming mesh, or `sliding: finite` between two boundaries"

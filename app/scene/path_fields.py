@@ -175,7 +175,7 @@ def _of_interface(scene: Scene, interface: str) -> list[PathField]:
         ]
         if contact.press_fit:
             fields.append(MICROMOTION)
-        if contact.between:
+        if contact.slides_finitely:
             fields += [PathField(f.name, f.label, f.unit) for f in INTERFACE_FIELDS.values()]
         else:
             fields += SMALL_SLIDING

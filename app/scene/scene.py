@@ -81,6 +81,11 @@ class Interface:
     rounded_angle: float = 0.0
     off_bone: Callable[[Floats], Bools] | None = None
 
+    @property
+    def slides_finitely(self) -> bool:
+        """Return True with finite sliding: the bodies of the two sides are meshed separately."""
+        return self.between is not None
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -249,7 +254,7 @@ def scene_of(
     order: int = 2,
     interfaces: Mapping[str, InterfaceLaw] = NO_LAWS,
     sides: Mapping[str, tuple[Sequence[str], Sequence[str]]] = NO_LAWS,
-    faces: Mapping[str, tuple[str, str]] = NO_LAWS,
+    sliding_boundaries: Mapping[str, tuple[str, str]] = NO_LAWS,
     supports: Mapping[str, Support | Foundation] = NO_LAWS,
     loads: Mapping[str, Load] = NO_LAWS,
     motions: Mapping[str, Motion] = NO_LAWS,
@@ -268,7 +273,8 @@ def scene_of(
         order: Polynomial order of the displacement, 1 or 2.
         interfaces: Law of each interface. Regions that touch without an interface are bonded.
         sides: Regions on the two sides of each interface.
-        faces: Boundaries of both sides of interfaces with finite sliding, unless the law has them.
+        sliding_boundaries: Boundaries of both sides of interfaces with finite sliding, unless the
+            law has them.
         supports: Supports by name.
         loads: Loads by name.
         motions: Motions by name.
@@ -294,7 +300,9 @@ def scene_of(
         if region.thermal is not None
     }
     all_interfaces = [
-        _interface(name, law, sides[name], faces.get(name), moduli, thermal, stem or NoStem())
+        _interface(
+            name, law, sides[name], sliding_boundaries.get(name), moduli, thermal, stem or NoStem()
+        )
         for name, law in interfaces.items()
     ]
     all_interfaces = [
@@ -303,9 +311,9 @@ def scene_of(
     ]
     insertion = insertion_stages(interfaces, press_fits)
     conducting = [i for i in all_interfaces if i.law.conductance is not None]
-    thermal_contacts = tuple(i for i in conducting if not i.between)
+    thermal_contacts = tuple(i for i in conducting if not i.slides_finitely)
     friction_heat = tuple(i for i in all_interfaces if i.law.heated_by_friction is not None)
-    depends_on_friction = any(not i.between for i in friction_heat)
+    depends_on_friction = any(not i.slides_finitely for i in friction_heat)
     depends_on_pressure = any(i.law.conductances[1] > 0 for i in thermal_contacts)
     has_creep = any(stage.creep for stage in stages)
     split_loads: list[Load] = []
@@ -331,7 +339,7 @@ def scene_of(
         heat=tuple(condition.named(name) for name, condition in heat.items()),
         thermal_contacts=thermal_contacts,
         friction_heat=friction_heat,
-        sliding_heat=tuple(i for i in conducting if i.between),
+        sliding_heat=tuple(i for i in conducting if i.slides_finitely),
         coupled=depends_on_friction or depends_on_pressure,
         expansions=tuple(t for t in thermal.values() if t.thermal_expansion),
         cures=tuple(t.cure.named(t.region) for t in thermal.values() if t.cure is not None),
@@ -352,7 +360,7 @@ def build_scene(case: Case) -> Scene:
         order=case.mesh.order,
         interfaces=case.interfaces,
         sides=case.geometry.interface_sides,
-        faces=case.faces,
+        sliding_boundaries=case.sliding_boundaries,
         supports=case.supports,
         loads=case.loads,
         motions=case.motions,
@@ -475,7 +483,7 @@ def _interface(
     name: str,
     law: InterfaceLaw,
     sides: tuple[Sequence[str], Sequence[str]],
-    faces: tuple[str, str] | None,
+    boundaries: tuple[str, str] | None,
     moduli: Mapping[str, float],
     thermal: Mapping[str, Thermal],
     stem: StemPlaces,
@@ -484,7 +492,7 @@ def _interface(
     first, second = (tuple(side) for side in sides)
     swapped = _stiffness(first, moduli) < _stiffness(second, moduli)
     master, slave = (second, first) if swapped else (first, second)
-    faces = faces or law.sliding_boundaries
+    boundaries = boundaries or law.sliding_boundaries
     # Fraction of the friction heat that enters the first side; a string means: by effusivity.
     first_share = law.heated_by_friction
     if first_share is None:
@@ -506,7 +514,7 @@ def _interface(
         swapped=swapped,
         slave_share=slave_share,
         constants=law.constants_at_points(name, stem),
-        between=(faces[::-1] if swapped else faces) if faces else None,
+        between=(boundaries[::-1] if swapped else boundaries) if boundaries else None,
         press_fit=law.is_press_fit,
         zones={
             zone: partial(_height_outside, ends, stem) for zone, ends in law.zone_heights.items()

@@ -37,7 +37,7 @@ FUNCTIONS: dict[str, tuple[str, int, int]] = {
     "hypot": ("hypot", 2, 2),
 }
 # Longest expression [characters].
-LONGEST = 1000
+LONGEST_EXPRESSION = 1000
 # Words of Python that follow a number in a condition; they are no units.
 CONDITIONS = ("if", "and", "or")
 # A number, or its values at points (n,).
@@ -50,9 +50,10 @@ def calculate(expression: str, names: Mapping[str, Value]) -> Value:
     Raises:
         ValueError: It is no valid expression; the argument names the error and what is allowed.
     """
-    if len(expression) > LONGEST:
+    if len(expression) > LONGEST_EXPRESSION:
         raise ValueError(
-            f"the expression has {len(expression)} characters; at most {LONGEST} are allowed"
+            f"the expression has {len(expression)} characters; "
+            f"at most {LONGEST_EXPRESSION} are allowed"
         )
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):

@@ -34,7 +34,7 @@ TOWER = re.compile(r"\^[^A-Za-z]*\^|\d{3}")
 KEPT = "conversions.json"
 ANGLES = re.compile("radian|degree|arc|turn|grade")
 # Longest number: huge exponents would be expensive.
-LONGEST = 60
+LONGEST_NUMBER = 60
 # Longest number with its unit; matching takes quadratic time.
 LONGEST_VALUE = 200
 # Bounds above this only avoid overflow, and are left out of the manual.
@@ -202,7 +202,7 @@ class Dimension(_Bounded):
                 f"{shown_value} is a temperature; expected {self.what} such as '{number}"
                 f" {self.unit}'"
             )
-        if len(number) > LONGEST or not math.isfinite(float(number)):
+        if len(number) > LONGEST_NUMBER or not math.isfinite(float(number)):
             fail(f"{shown_value} is not finite; expected {expected_text}")
         # A number that underflows is zero; as a fraction it could take gigabytes.
         exact = Fraction(number) if float(number) != 0.0 else Fraction(0)

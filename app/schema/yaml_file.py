@@ -39,7 +39,7 @@ MOST_NODES = 100_000
 # Deepest nesting of values.
 DEEPEST = 50
 # Longest text of a value or a message [characters].
-LONGEST = 10_000
+LONGEST_TEXT = 10_000
 TOO_MANY = "too many or too deeply nested values (an alias inside itself?)"
 # The only tags allowed on mappings and lists.
 PLAIN_TAGS = frozenset({"tag:yaml.org,2002:map", "tag:yaml.org,2002:seq"})
@@ -294,7 +294,11 @@ def _section(path: Path) -> Path:
 def printable(text: str) -> str:
     """Escape control characters of a message and bound its length."""
     printable_text = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
-    return printable_text if len(printable_text) <= LONGEST else f"{printable_text[:LONGEST]} ..."
+    return (
+        printable_text
+        if len(printable_text) <= LONGEST_TEXT
+        else f"{printable_text[:LONGEST_TEXT]} ..."
+    )
 
 
 def path_text(path: Path) -> str:
@@ -482,9 +486,9 @@ _SCALARS = YAML(typ="safe", pure=True).constructor
 def _text(node: ScalarNode) -> str:
     """Text of a scalar, of bounded length and without surrogates."""
     text = str(node.value)
-    if len(text) > LONGEST:
+    if len(text) > LONGEST_TEXT:
         raise BadYaml(
-            f"the text has {len(text)} characters; at most {LONGEST} are allowed", _start(node)
+            f"the text has {len(text)} characters; at most {LONGEST_TEXT} are allowed", _start(node)
         )
     if any("\ud800" <= c <= "\udfff" for c in text):
         raise BadYaml(

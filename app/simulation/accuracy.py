@@ -58,7 +58,7 @@ def add_errors(
     for companion in companions:
         start_time = clock.perf_counter()
         try:
-            numbers = model.relative(companion.case)
+            numbers = model.numbers_of_companion(companion.case)
         except (ConvergenceError, GeometryError) as failure:
             agree(model.tagged.mesh.comm, failure)
             reason = str(failure).splitlines()[0]
@@ -88,7 +88,7 @@ def numbers_with_errors(
         ConvergenceError: The case or one of its companions cannot be solved.
     """
     model = Model(case, comm, options, Timing("choosing"), stop)
-    numbers = model.relative(case)
+    numbers = model.numbers_of_companion(case)
     if add_errors(numbers, case, error_estimate.companions(case), model)["failed"]:
         raise ConvergenceError(
             "output.accuracy: errors of the cheap runs cannot be estimated; set mesh.size instead"

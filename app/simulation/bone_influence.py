@@ -21,7 +21,7 @@ from app.system.layout import percent
 log = logging.getLogger("mantle")
 
 # Mesh size of the companions over that of the run.
-COARSER = 2.0
+COARSENING_OF_COMPANIONS = 2.0
 # Fraction of the largest number of its unit below which the change of a number is not reported.
 NEGLIGIBLE = 0.1
 
@@ -37,13 +37,17 @@ def bone_influence(case: Case, model: Model) -> BoneInfluence | None:
     if not other_bones or not model.mechanics:
         return None
     coarsest = geometry.coarsest_size
-    mesh = case.mesh.coarser(min(COARSER, coarsest / case.mesh.size) if case.mesh.size else 1.0)
+    mesh = case.mesh.coarser(
+        min(COARSENING_OF_COMPANIONS, coarsest / case.mesh.size) if case.mesh.size else 1.0
+    )
     companions = [
         case.model_copy(update={"mesh": mesh, "geometry": g})
         for g in (geometry, *other_bones.values())
     ]
     try:
-        numbers_as_run, *numbers_of_others = [model.relative(each) for each in companions]
+        numbers_as_run, *numbers_of_others = [
+            model.numbers_of_companion(each) for each in companions
+        ]
     except (ConvergenceError, GeometryError) as failure:
         agree(model.tagged.mesh.comm, failure)
         log.warning("assumed bone: its influence is unknown: %s", str(failure).splitlines()[0])

@@ -110,7 +110,7 @@ def _refused(case: Case) -> list[Fault]:
             refuse("a gap or an interference", "interfaces", name)
         elif law.zone_heights:
             refuse("zones", "interfaces", name, "zones")
-        if name in case.faces:
+        if name in case.sliding_boundaries:
             refuse("finite sliding", "interfaces", name, "sliding")
     for name, support in case.supports.items():
         if support.is_spring is True or support.normal is not None:

@@ -36,7 +36,7 @@ def mechanical_columns(
         "newton [-]": step.outcome.iterations,
         "krylov [-]": step.outcome.linear_iterations,
         "residual [-]": step.outcome.residuals[-1],
-        "step [s]": round(step.seconds, 3),
+        "step [s]": round(step.wall_seconds, 3),
         "augmentation [-]": step.outcome.augmentation,
         "force balance [-]": balance.force,
         "moment balance [-]": balance.moment,

@@ -54,7 +54,7 @@ log = logging.getLogger("mantle")
 # iterations, not 25.
 LARGE = 20_000
 # Mesh size of the coarse model over that of the run.
-COARSER = 2.0
+COARSENING_OF_START = 2.0
 # Tolerance of the coarse model, relative to the forces: far below its discretization error.
 TOLERANCE = 1e-4
 
@@ -173,7 +173,7 @@ class Model:
             heating, mechanics = self.analysis.heating, self.mechanics
             if mechanics:
                 self.probes = ProbedMechanics(case, mechanics.problem)
-                heat = heating.step if heating else None
+                heat = heating.system if heating else None
                 self.records = records(
                     case,
                     RecordedModel(mechanics.problem, mechanics.stresses, mechanics.zones, heat),
@@ -245,7 +245,7 @@ class Model:
         sizes = dict(self.thermal.heating.solver.block_sizes) if self.thermal else {}
         return sizes | (self.mechanics.solver.block_sizes if self.mechanics else {})
 
-    def layers(self) -> list[FieldGroup]:
+    def field_groups(self) -> list[FieldGroup]:
         """Groups of fields to be written: mechanics, heat."""
         field_groups: list[FieldGroup] = []
         mechanics = self.mechanics
@@ -288,10 +288,10 @@ class Model:
             on_stage = record.before_stage(on_stage)
         t = self.thermal
 
-        def on_accepted(step: LoadStep, accepted: HeatStep) -> None:
+        def on_accepted(step: LoadStep, heat_step: HeatStep) -> None:
             if t:
-                t.update(accepted)
-            on_heat(step, accepted)
+                t.update(heat_step)
+            on_heat(step, heat_step)
 
         mechanics, stages = self.mechanics, self.scene.stages
         if mechanics:
@@ -359,7 +359,9 @@ class Model:
             elastic = mechanics.problem.scene.elastic
             if samples is not None:
                 numbers["interfaces"] = {name: dict(q) for name, q in samples.numbers.items()}
-            numbers["regions"] = {e.region: mechanics.stresses.region(e.region) for e in elastic}
+            numbers["regions"] = {
+                e.region: mechanics.stresses.numbers_of_region(e.region) for e in elastic
+            }
             bonds = mechanics.bonds.numbers()
             if bonds:
                 numbers["bonds"] = bonds
@@ -408,7 +410,7 @@ class Model:
                 mechanics.problem, mechanics.stresses, samples, mechanics.zones
             )
 
-    def relative(self, case: Case) -> Summary:
+    def numbers_of_companion(self, case: Case) -> Summary:
         """Solve a companion case; return its numbers; collective."""
         other_model = self._other_model(case, Timing("estimating errors"))
         last_trial: TrialState | None = None
@@ -432,8 +434,8 @@ def coarse_case(case: Case, unknowns: int) -> Case | None:
     if unknowns < LARGE:
         return None
     mesh, solver = case.mesh, case.solver
-    if COARSER * mesh.size <= case.geometry.coarsest_size:
-        mesh = mesh.coarser(COARSER)
+    if COARSENING_OF_START * mesh.size <= case.geometry.coarsest_size:
+        mesh = mesh.coarser(COARSENING_OF_START)
     elif mesh.order > 1:
         mesh = mesh.model_copy(update={"order": 1})
     else:
@@ -448,7 +450,7 @@ def _stiffness(case: Case) -> tuple[object, ...]:
     stages = [stage.name for stage in case.stages]
     motions = [(m.region, m.boundary, m.about, m.translation) for m in case.motions.values()]
     bodies = case.geometry, case.mesh, case.regions, case.supports
-    return *bodies, motions, case.faces, solver, stages
+    return *bodies, motions, case.sliding_boundaries, solver, stages
 
 
 def _matrices(case: Case) -> tuple[object, ...]:

@@ -42,12 +42,12 @@ class AcceptedStep:
     """A step that has converged and is recorded.
 
     Attributes:
-        folder: Run directory; the folder of a variation has its name.
+        folder: Run directory; for a variation, its subfolder.
         number: 1 for the first: its row in history.csv.
         stage: Name of its stage.
         time: Time at its end: stage k runs from k to k + 1.
         end: Time at the end of the last stage.
-        seconds: Wall time since the run began [s].
+        wall_seconds: Wall time since the run began [s].
         row: Row in history.csv: numbers by column title, with units.
     """
 
@@ -56,7 +56,7 @@ class AcceptedStep:
     stage: str
     time: float
     end: float
-    seconds: float
+    wall_seconds: float
     row: Row
 
 
@@ -82,7 +82,7 @@ class Recorder:
         step_of_last_fields: Number of the last step with fields.
         effort: Iterations of the recorded steps.
         mechanical_row: Columns of the last step of the mechanics.
-        contact_state: Pressures and status of contact points after that step.
+        pressures_and_status: Pressures and status of contact points after that step.
         balance: Balances after that step, if a region deforms.
         cycles: Numbers at the peaks and valleys of the loads.
         valley: Jumps at the last valley.
@@ -96,7 +96,7 @@ class Recorder:
         "step_of_last_fields",
         "effort",
         "mechanical_row",
-        "contact_state",
+        "pressures_and_status",
         "balance",
         "writer",
         "cycles",
@@ -127,7 +127,7 @@ class Recorder:
             for warning in (w for c in critical for w in c.warnings()):
                 log.warning("%s", warning)
         self.samples: ContactSamples | None = None
-        self.contact_state: dict[str, Floats | Ints] = {}
+        self.pressures_and_status: dict[str, Floats | Ints] = {}
         self.time = 0.0
         self.step_count = self.step_of_last_fields = self.increment_count = 0
         self.effort = Effort()
@@ -142,7 +142,9 @@ class Recorder:
         """Keys of owned contact points."""
         mechanics = self._model.mechanics
         contact = mechanics.problem.contact if mechanics else None
-        return dict.fromkeys(("contact_state", "valley"), contact.row_keys) if contact else {}
+        return (
+            dict.fromkeys(("pressures_and_status", "valley"), contact.row_keys) if contact else {}
+        )
 
     def restored(self) -> None:
         """Compute the balance and the samples of a restored state; collective.
@@ -156,8 +158,8 @@ class Recorder:
             trial = mechanics.problem.trial(u, q) if q is not None else None
             self.balance.continue_from(u, trial)
             if trial is not None:
-                pressures = self.contact_state["pressures"].astype(np.float64)
-                status = self.contact_state["status"].astype(np.int64)
+                pressures = self.pressures_and_status["pressures"].astype(np.float64)
+                status = self.pressures_and_status["status"].astype(np.int64)
                 forces = replace(trial.forces, pressures=pressures, status=status)
                 self._set_samples(mechanics, replace(trial, forces=forces))
         if self.writer.fields and not self.writer.field_steps:
@@ -177,7 +179,7 @@ class Recorder:
     def begin_stage(self, stage: Stage) -> None:
         """Begin a stage."""
         self._stage = stage
-        if not _has_valleys(stage):  # inducible motion is that of the last cycle of the run
+        if not stage.has_valleys:  # inducible motion is that of the last cycle of the run
             self.valley = {}
         self._step_log.begin_stage(stage)
 
@@ -188,7 +190,7 @@ class Recorder:
             assert mechanics is not None and balance is not None
             balance.update(mechanics.solver.u_and_q()[0], trial)
             if trial is not None:
-                self.contact_state = {
+                self.pressures_and_status = {
                     "pressures": trial.forces.pressures,
                     "status": trial.forces.status,
                 }
@@ -208,20 +210,20 @@ class Recorder:
 
     def _record_reversal(self, step: LoadStep, stem: Numbers, trial: TrialState | None) -> None:
         """Store the numbers at peaks and valleys of a stage with cycles."""
-        reversal = self._stage.reversal(step.time)
-        if not (_has_valleys(self._stage) and step.ends_increment and reversal):
+        stage = self._stage
+        if not (stage.has_valleys and step.ends_increment and stage.reversal(step.time)):
             return
         self.cycles.add(step.stage, stem, self.samples.step_numbers if self.samples else {})
-        if trial is not None and reversal % 2 == 0:
+        if trial is not None and stage.is_valley(step.time):
             self.valley = {"jump": trial.jump.copy()}
 
-    def record_heat_step(self, step: LoadStep, accepted: HeatStep) -> None:
+    def record_heat_step(self, step: LoadStep, heat_step: HeatStep) -> None:
         """Record a step of the heat, with the mechanics at its end; collective."""
         with self._timing.phase("output"):
-            self.effort.count(accepted.outcome)
+            self.effort.count(heat_step.outcome)
             t = self._model.thermal
             if t:
-                self._step_log.log_heat_step(step.number, accepted, t.row(), self._wall())
+                self._step_log.log_heat_step(step.number, heat_step, t.row(), self._wall())
             self._write_row(step)
 
     def _wall(self) -> float:
@@ -254,7 +256,7 @@ class Recorder:
         self.writer.write_fields(self.step_count, self.time, seconds, self.samples)
 
     def flush(self) -> None:
-        """Write pending fields of the last step, also to a separate file."""
+        """Write the fields of the last step if missing, and a file with the last step alone."""
         if self.step_of_last_fields < self.step_count:
             self._fields()
         self.writer.last_fields()
@@ -327,8 +329,3 @@ class Recorder:
             f"last converged state: time {self.time:.4g} (step {self.step_count}) "
             f"in {self.writer.folder}"
         )
-
-
-def _has_valleys(stage: Stage) -> bool:
-    """Return True if loads return in a stage; those of cycle tables do not."""
-    return stage.load_segments > stage.cycles

@@ -20,7 +20,7 @@ from app.system.timing import Timing, peak_memory
 
 
 def at_rest() -> Summary:
-    """Numbers of a run without a converged step: all are zero, and none is listed."""
+    """Empty sections of a run without a converged step."""
     return {"interfaces": {}, "regions": {}, "probes": {}}
 
 

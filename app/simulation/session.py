@@ -33,14 +33,14 @@ from app.simulation.recorder import OnAccepted, Recorder
 from app.soundness import preview, result_notes
 from app.stepping.load_steps import Effort
 from app.system import form_cache, ranks, stopping
-from app.system.folders import FAILED, claim, prepare_run, remove, saved, write_text
+from app.system.folders import FAILED_FILE, claim, prepare_run, remove, saved, write_text
 from app.system.layout import count, several
 from app.system.timing import Timing
 
 log = logging.getLogger("mantle")
 
 # The log announces that results are written if the run took longer [s].
-LONG = 10.0
+LONG_RUN = 10.0
 
 
 @dataclass
@@ -205,12 +205,12 @@ def _solve_variations(setup: Setup, output: Path) -> None:
 def _solve_variation(setup: Setup, run: PlannedRun, folder: Path) -> Summary:
     """Solve a variation; return its summary, empty if it does not converge; collective."""
     on_root(setup.comm, partial(prepare_run, folder, force=True), share=False)
-    on_root(setup.comm, partial(remove, [folder / FAILED]), share=False)
+    on_root(setup.comm, partial(remove, [folder / FAILED_FILE]), share=False)
     try:
         summary = _CaseRun(setup, run, folder).run()
     except ConvergenceError as failure:
         log.warning("%s: %s", run.name, failure)
-        write_failure = partial(write_text, folder / FAILED, f"{failure}\n")
+        write_failure = partial(write_text, folder / FAILED_FILE, f"{failure}\n")
         on_root(setup.comm, write_failure, share=False)
         return {}
     closing_lines.log_closing_lines(summary, table=False)
@@ -255,7 +255,7 @@ class _CaseRun:
             _unknowns(model.sizes()),
             several(comm.size, "rank"),
         )
-        field_groups = model.layers()
+        field_groups = model.field_groups()
         data = model.parts.data if model.parts else None
         paths = path_tables(case, model.scene, model.tagged, field_groups, data)
         self._writer = Writer(
@@ -331,7 +331,7 @@ class _CaseRun:
     def _recorded(self, total: Effort) -> tuple[Summary, list[Verdict]]:
         """Return the summary of the last state, with its verdicts, and its notes; collective."""
         setup, case, model = self._setup, self._case, self._model
-        if clock.perf_counter() - setup.begin > LONG:
+        if clock.perf_counter() - setup.begin > LONG_RUN:
             log.info("     computing and writing results")
         with setup.timing.phase("output"):
             self._recorder.flush()

@@ -27,7 +27,7 @@ class StepLog:
 
     def begin_stage(self, stage: Stage) -> None:
         """Begin a stage: a header comes before its first line."""
-        columns = closing_lines.HEAT if stage.takes_time else closing_lines.STEP
+        columns = closing_lines.HEAT_COLUMNS if stage.takes_time else closing_lines.STEP
         self._header = closing_lines.aligned_line(columns, columns)
 
     def log_step(
@@ -48,17 +48,17 @@ class StepLog:
         self._log(closing_lines.step_line(step, fractions, deepest, wall, time_left))
 
     def log_heat_step(
-        self, number: int, accepted: HeatStep, row: dict[str, float], wall: float
+        self, number: int, heat_step: HeatStep, row: dict[str, float], wall: float
     ) -> None:
         """Log a step of the heat.
 
         Args:
             number: Number of the step, from 1.
-            accepted: The step.
+            heat_step: The step.
             row: Numbers of the heat by column title, as in history.csv.
             wall: Wall time since the run began [s].
         """
-        self._log(closing_lines.heat_line(number, accepted, row, wall))
+        self._log(closing_lines.heat_line(number, heat_step, row, wall))
 
     def _log(self, line: str) -> None:
         if self._header:

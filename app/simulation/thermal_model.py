@@ -14,7 +14,7 @@ from app.scene.bodies import nodes_on
 from app.stepping.heat_state import HeatState, HeatStep
 
 # Heat below this multiple of its rounding error in a step counts as zero.
-NOTHING = 1e7
+LEAST_HEAT_OVER_ROUNDING = 1e7
 
 
 class ThermalModel:
@@ -43,7 +43,7 @@ class ThermalModel:
             {n: (p.at, p.region) for n, p in case.output.probes.items() if isinstance(p, Probe)},
             {
                 name: (nodes_on(tagged, space, first), nodes_on(tagged, space, second))
-                for name, (first, second) in case.faces.items()
+                for name, (first, second) in case.sliding_boundaries.items()
             },
         )
         self._first_contact = InitialContactTemperature(operators)
@@ -65,34 +65,34 @@ class ThermalModel:
             self._first_contact.set_reported(temperatures, seconds)
         return temperatures
 
-    def update(self, accepted: HeatStep) -> None:
+    def update(self, heat_step: HeatStep) -> None:
         """Record an accepted step; collective."""
         heating, operators = self.heating, self.operators
         x = heating.vectors()
         temperatures = operators.temperatures(x)
         exchanges = heat_through_interfaces(operators, x, temperatures)
-        self.settled = self.settled or accepted.dt == 0.0
-        temperatures = self._reported(accepted.seconds)
+        self.settled = self.settled or heat_step.dt == 0.0
+        temperatures = self._reported(heat_step.seconds)
         highest = operators.principle.high
-        rates = [*heating.slopes()] if heating.begins_at_event(accepted) else ()
-        self.record.update(accepted.seconds, temperatures, exchanges, highest, rates)
+        rates = [*heating.temperature_rates()] if heating.begins_at_event(heat_step) else ()
+        self.record.update(heat_step.seconds, temperatures, exchanges, highest, rates)
         if self.cure:
-            self.cure.update(accepted.seconds, heating.degrees(), heating.rates())
+            self.cure.update(heat_step.seconds, heating.degrees(), heating.cure_rates())
         self.flows = {
-            "into": dict(accepted.flows),
-            "through": heating.step.heat_through_interfaces(x),
+            "into": dict(heat_step.flows),
+            "through": heating.system.heat_through_interfaces(x),
         }
         heat = operators.stored(x)
-        rounding = heating.step.measure(x, heating.step.vectors())[0].rounding
-        if accepted.dt == 0.0:
+        rounding = heating.system.measure(x, heating.system.vectors())[0].rounding
+        if heat_step.dt == 0.0:
             # In a model of uniform temperature, flows are rounding alone.
-            self.balance.steady(accepted.flows, heat, 1e2 * rounding)
+            self.balance.steady(heat_step.flows, heat, 1e2 * rounding)
             return
         moved_heat = self.record.moved_heat(self._capacities)
         # The same holds before the first heat, for example of friction.
-        smallest_heat = NOTHING * rounding * accepted.dt
+        smallest_heat = LEAST_HEAT_OVER_ROUNDING * rounding * heat_step.dt
         self.balance.update(
-            accepted.dt, accepted.heats, accepted.flows, heat, moved_heat, smallest_heat
+            heat_step.dt, heat_step.heats, heat_step.flows, heat, moved_heat, smallest_heat
         )
 
     def row(self) -> dict[str, float]:

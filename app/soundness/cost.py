@@ -15,7 +15,8 @@ from app.numerics.choice import SolverChoice
 from app.scene.scene import build_scene
 from app.soundness import mesh_notes
 from app.system.layout import count, duration
-from meshes.data import EDGES, interface_nodes
+from meshes.data import interface_nodes
+from meshes.shape_functions import GMSH_TETRAHEDRON
 
 if TYPE_CHECKING:
     from meshes import MeshData
@@ -34,14 +35,15 @@ LATER_KRYLOV = 0.45
 # Time of a Krylov solve without contact over that with contact, which takes several Newton steps.
 LINEAR = 0.25
 # Operations per second of sparse factors.
-FACTORS = 48e9
+SPARSE_FACTOR_SPEED = 48e9
 # Operations per second of dense factors in single precision.
-SINGLE = 86e9
+DENSE_FACTOR_SPEED = 86e9
 # Bytes per second of back-substitutions.
-BYTES = 10e9
-# Newton iterations of the first solve, from rest, and of a later one.
-FROM_REST = 12
-ITERATIONS = 5.5
+SUBSTITUTION_SPEED = 10e9
+# Newton iterations of the first solve, from rest.
+FIRST_ITERATIONS = 12
+# Newton iterations of a later solve.
+LATER_ITERATIONS = 5.5
 # Cycles after which friction has shaken down in hips. A state is then predicted exactly from the
 # cycles before, and its solve takes one iteration.
 SHAKEDOWN_CYCLES = 50
@@ -50,7 +52,7 @@ CONDENSED_ASSEMBLY = 1.5e-5
 # Seconds of a time step of heat.
 TIME_STEP = 0.05
 # Seconds of a time step per temperature.
-HEAT = 3e-5
+TIME_STEP_PER_TEMPERATURE = 3e-5
 # Time steps of a stage with heat.
 HEAT_STEPS = 35
 # Time steps of a stage in which cement sets.
@@ -114,7 +116,9 @@ def _size(
     """Size of a mesh with given numbers of displacement nodes, cell corners and interface nodes."""
     laws, deforms, conducts = case.interfaces.items(), solid(case), case.conducts
     jumps = deforms * sum(interface_nodes[name] for name, law in laws if law.can_part)
-    conducting = {name for name, law in laws if law.conductance is not None} - case.faces.keys()
+    conducting = {
+        name for name, law in laws if law.conductance is not None
+    } - case.sliding_boundaries.keys()
     steps = conducts * sum(interface_nodes[name] for name in conducting)
     return _Size(cells, deforms * nodes, jumps, conducts * corners, steps)
 
@@ -199,7 +203,9 @@ def _solution(case: Case, size: _Size, runs: int = 1) -> float:
         if condensed
         else krylov_seconds(choice)
     )
-    heating = time_steps * (TIME_STEP + HEAT * (size.temperatures + size.steps))
+    heating = time_steps * (
+        TIME_STEP + TIME_STEP_PER_TEMPERATURE * (size.temperatures + size.steps)
+    )
     errors = WITH_HEAT_ERRORS if time_steps else WITH_ERRORS
     return (loading + heating) * (errors if case.output.error else 1.0)
 
@@ -215,11 +221,11 @@ def condensed_seconds(choice: SolverChoice, repeated: float = 0.0) -> float:
     n, m = choice.size, choice.jumps
     operations = 15 * n**2.05 + 1.1 * m**2.91 - m**3 / 3
     entries = 6 * n**1.44 + 1.1 * m**1.95
-    setup = operations / FACTORS + CONDENSED_ASSEMBLY * n
-    dense = (2 / 3) * (0.64 * m) ** 3 / SINGLE
-    iteration = dense + (32 * m**2 + 8 * entries) / BYTES
+    setup = operations / SPARSE_FACTOR_SPEED + CONDENSED_ASSEMBLY * n
+    dense = (2 / 3) * (0.64 * m) ** 3 / DENSE_FACTOR_SPEED
+    iteration = dense + (32 * m**2 + 8 * entries) / SUBSTITUTION_SPEED
     setup *= choice.solves if choice.changes_stiffness else 1
-    iterations = FROM_REST + ITERATIONS * (choice.solves - 1 - repeated) + repeated
+    iterations = FIRST_ITERATIONS + LATER_ITERATIONS * (choice.solves - 1 - repeated) + repeated
     return setup + iterations * iteration
 
 
@@ -300,8 +306,10 @@ def exact_size(case: Case, data: MeshData, available: float = math.inf) -> str:
     elastic = data.cells[~np.isin(data.cell_tags, rigid), :4]
     nodes, corners = len(np.unique(elastic)), len(np.unique(data.cells[:, :4]))
     if case.mesh.order == 2:
-        nodes += len(np.unique(np.sort(elastic[:, EDGES].reshape(-1, 2), axis=1), axis=0))
-    counts = {n: len(interface_nodes(data, n, case.faces)) for n in case.interfaces}
+        nodes += len(
+            np.unique(np.sort(elastic[:, GMSH_TETRAHEDRON].reshape(-1, 2), axis=1), axis=0)
+        )
+    counts = {n: len(interface_nodes(data, n, case.sliding_boundaries)) for n in case.interfaces}
     size = _size(case, len(data.cells), nodes, corners, counts)
     lines = [_described("size", case, size, available)]
     for name, tag in data.regions.items():

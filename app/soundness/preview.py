@@ -296,7 +296,7 @@ def _several_steady_states(case: Case) -> Iterable[Verdict]:
     if not any(r.thermal and r.thermal.thermal_expansion for r in case.regions.values()):
         return
     for name, law in case.interfaces.items():
-        if law.conducts_by_pressure and name not in case.faces:
+        if law.conducts_by_pressure and name not in case.sliding_boundaries:
             message = (
                 "thermal expansion and a conductance that grows with pressure reinforce each "
                 "other: several steady states may exist, some of them unstable"
@@ -439,7 +439,7 @@ def _open_conductances(case: Case) -> Iterable[Verdict]:
     open_names = [
         name
         for name, law in case.interfaces.items()
-        if law.can_part and name not in case.faces and not law.conducts_by_pressure
+        if law.can_part and name not in case.sliding_boundaries and not law.conducts_by_pressure
     ]
     if open_names:
         message = "the conductance does not change where the interface opens"

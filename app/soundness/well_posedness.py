@@ -21,7 +21,7 @@ from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
 from app.foundation.verdict import Severity, Verdict, note
 from app.heat.nodes import outside_text
-from app.laws.values import ROUNDING
+from app.laws.values import ROUNDING_OF_HEIGHTS
 from app.scene.scene import build_scene
 from app.soundness import paths_on_mesh
 from app.soundness.bodies_on_mesh import (
@@ -79,7 +79,9 @@ Check = Callable[[Case, MeshPieces], Iterable[Verdict]]
 def mesh_parts(case: Case, data: MeshData) -> MeshPieces:
     """Parts of a mesh that `check_on_mesh` examines."""
     faces = {s.boundary for s in case.supports.values() if s.normal == "face"}
-    return pieces_of_mesh(data, {s.boundary for s in case.supports.values()}, faces, case.faces)
+    return pieces_of_mesh(
+        data, {s.boundary for s in case.supports.values()}, faces, case.sliding_boundaries
+    )
 
 
 def check_on_mesh(case: Case, parts: MeshPieces) -> list[Verdict]:
@@ -114,12 +116,14 @@ def _empty_zones(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
             continue
         heights = case.geometry.height_on_stem(parts.x[parts.on_interface(name)])
         lowest, highest = float(heights.min()), float(heights.max())
-        least_length = 0.0 if highest - lowest < ROUNDING else ROUNDING
+        least_length = 0.0 if highest - lowest < ROUNDING_OF_HEIGHTS else ROUNDING_OF_HEIGHTS
         for zone, (low, high) in law.zone_heights.items():
-            covered_length = min(high, highest + ROUNDING) - max(low, lowest - ROUNDING)
-            if covered_length < least_length + ROUNDING:
+            covered_length = min(high, highest + ROUNDING_OF_HEIGHTS) - max(
+                low, lowest - ROUNDING_OF_HEIGHTS
+            )
+            if covered_length < least_length + ROUNDING_OF_HEIGHTS:
                 place = f"heights from {lowest:.4g} to {highest:.4g} mm"
-                if highest - lowest < ROUNDING:
+                if highest - lowest < ROUNDING_OF_HEIGHTS:
                     place = f"the height {lowest:.4g} mm"
                 yield Verdict(
                     f"covers nothing of the interface, which is at {place}",
@@ -259,21 +263,21 @@ def _sides_that_do_not_fit(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     for name, sides in case.geometry.interface_sides.items():
         shared_facets = len(interface_facets(parts.data, name)[0])
         first_side, second_side = ("/".join(side) for side in sides)
-        if shared_facets and name in parts.faces:
+        if shared_facets and name in parts.sliding_boundaries:
             message = (
                 f"{first_side} and {second_side} share {shared_facets} facets, so slip is limited"
                 " to one facet"
             )
             remedy = "mesh the bodies separately, or use `sliding: small`"
             yield Verdict(message, f"interfaces.{name}.sliding", remedy)
-        elif not shared_facets and name not in parts.faces:
+        elif not shared_facets and name not in parts.sliding_boundaries:
             remedy = (
                 "if the bodies are meshed separately, use `kind: contact` with `sliding: finite` "
                 "and two boundaries in `between`"
             )
             message = f"no facet between {first_side} and {second_side}"
             yield Verdict(message, f"interfaces.{name}", remedy)
-        for face, side in zip(parts.faces.get(name, ()), sides, strict=False):
+        for face, side in zip(parts.sliding_boundaries.get(name, ()), sides, strict=False):
             face_regions = sorted({parts.pieces[p].region for p in parts.boundaries.get(face, {})})
             if not face_regions or not {*face_regions} <= {*side}:
                 message = f"{face} is a surface of {' and '.join(face_regions) or 'no region'}"
@@ -318,7 +322,7 @@ def _followers_moved_twice(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     def nodes(boundary: str) -> NDArray[np.int64]:
         return np.concatenate([np.zeros(0, int), *parts.boundaries.get(boundary, {}).values()])
 
-    contacts = build_scene(case).contacts if parts.faces else ()
+    contacts = build_scene(case).contacts if parts.sliding_boundaries else ()
     supported_boundaries = {n: s.boundary for n, s in case.supports.items() if not s.is_spring}
     nodes_by_owner = {
         f"supports.{name}": nodes(boundary) for name, boundary in supported_boundaries.items()
@@ -501,7 +505,7 @@ def _messages_of_the_mesher(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
 
 def _open_cracks(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     """Coincident nodes that are not joined, and faces on each other without a common node."""
-    slides = [{*chain(*case.geometry.interface_sides[n])} for n in parts.faces]
+    slides = [{*chain(*case.geometry.interface_sides[n])} for n in parts.sliding_boundaries]
     for (a, b), x in parts.doubled.items():
         if a != b and any({a, b} <= regions for regions in slides):
             continue

@@ -32,7 +32,7 @@ from app.heat.temperature_jumps import TemperatureJumps
 from app.interfaces.faces import dual_vectors
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
-from app.mechanics.stiffness import ROUNDING
+from app.mechanics.stiffness import ROUNDING_OF_STIFFNESS_ROWS
 from app.numerics.sparse import from_triplets, owners
 from app.scene.bodies import contact_facets
 from app.scene.scene import Scene
@@ -137,7 +137,7 @@ class ContactHeat:
         force = stiffness * np.linalg.norm(trial.jump, axis=1)
         power = np.where(self.is_rubbing, force * slip, 0.0) / self._stage_length
         total = self._problem.comm.allreduce(float(np.sum(power**2)), MPI.SUM)
-        return ROUNDING * float(np.finfo(float).eps) * math.sqrt(total)
+        return ROUNDING_OF_STIFFNESS_ROWS * float(np.finfo(float).eps) * math.sqrt(total)
 
     def pressure_rows(self, trial: TrialState) -> tuple[Floats, Floats]:
         """Derivatives of the pressures of owned faces: by equilibrium, by the jump (n, 3, 3)."""

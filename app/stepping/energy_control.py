@@ -34,7 +34,7 @@ from app.numerics.preconditioners import Options
 from app.numerics.system import MatrixFree, Measure
 
 # Newton iterations of a step.
-ITERATIONS = 25
+MOST_NEWTON_ITERATIONS = 25
 # Relative tolerance of the energy of a step.
 ENERGY_TOLERANCE = 1e-6
 # Difference in the fraction of the path for the derivative by the load.
@@ -146,7 +146,7 @@ class EnergyControl(MatrixFree):
         self._residual_by_load = solver.vector()
         self._energy_by_jump: Floats = np.zeros(0)
         self._b = solver.vector()
-        limits = solver.tolerance, ITERATIONS
+        limits = solver.tolerance, MOST_NEWTON_ITERATIONS
         self._solver = Solver(self, *limits, "", {}, solver.timing, solver.stop)
 
     def solve(self, energy: float, fraction: float) -> tuple[NewtonResult, float]:

@@ -1,6 +1,7 @@
 """State of the heat, its time steps, and the heat that enters during a step.
 
-`numerics.integrator` makes the time steps. Each stage of a step is one solve of the system of heat.
+`numerics.integrator` makes the time steps. A step has implicit stages (Runge-Kutta); each of them
+is one solve of the system of heat.
 If heat depends on contact, heat and mechanics are solved together (`stepping.coupled_system`).
 """
 
@@ -25,7 +26,7 @@ from app.scene.scene import Scene
 from app.stepping.coupled_system import CoupledSystem
 from app.stepping.load_steps import Effort
 
-# First step of a stage, as a fraction of an increment, if the rate of change is unknown.
+# First step of a stage of the case, as a fraction of an increment, if the rate is unknown.
 FIRST_STEP = 1e-3
 # Relative difference up to which times count as equal.
 SAME_TIME = 1e-9
@@ -40,7 +41,7 @@ class HeatStep:
         dt: Length [s]; 0 for a steady state.
         heats: Heat that enters the model during the step, by condition [N mm].
         flows: Heat per time that enters at its end, by condition [N mm/s].
-        outcome: Outcome of its last stage.
+        outcome: Outcome of its last implicit stage.
     """
 
     seconds: float
@@ -54,32 +55,33 @@ class HeatState:
     """Temperatures, jumps and degrees of cure in time.
 
     Attributes:
-        step: The system of heat, for one implicit solve at a time.
+        system: The system of heat, for one implicit solve at a time.
         operators: Operators of heat.
         solver: Solver of heat, or of heat and mechanics.
         coupled: Heat and mechanics in one system, if heat depends on contact.
         outcome: Outcome of the last solve.
         state: Temperatures of owned nodes, jumps of owned points [K], owned degrees of cure.
+        rate: Rate of change of the state at the end of the last step [K/s] and [1/s].
         seconds: Time since the start of the run [s].
         total: Counts of steps and iterations so far.
     """
 
-    saved = ("seconds", "total", "state", "slope", "step", "solver")
+    saved = ("seconds", "total", "state", "rate", "system", "solver")
 
     def __init__(
-        self, scene: Scene, step: ImplicitStep, solver: Solver, coupled: CoupledSystem | None
+        self, scene: Scene, system: ImplicitStep, solver: Solver, coupled: CoupledSystem | None
     ) -> None:
         assert scene.time is not None
         self.options = scene.time
-        self.step, self.operators, self.solver = step, step.operators, solver
+        self.system, self.operators, self.solver = system, system.operators, solver
         self.coupled = coupled
         self.outcome = NewtonResult(False, 0, 0, (), (), False)
         self.method = METHODS[self.options.method]
         self.seconds = 0.0
         self.total = Effort()
-        self.state = self._state(step.initial())
-        self.slope: State = [np.zeros_like(part) for part in self.state]
-        self._flows_of_stages: list[dict[str, float]] = []
+        self.state = self._state(system.initial())
+        self.rate: State = [np.zeros_like(part) for part in self.state]
+        self._flows_of_implicit_stages: list[dict[str, float]] = []
         self.set_solver_state(self.state)
         cure = self.operators.cure
         self._curing = cure.nodes if cure else []
@@ -88,7 +90,7 @@ class HeatState:
     def row_keys(self) -> dict[str, list[Ints]]:
         """Keys of owned nodes and points, by block."""
         blocks = self.operators.block_keys()
-        return {"state": blocks, "slope": blocks}
+        return {"state": blocks, "rate": blocks}
 
     def restored(self) -> None:
         """Set the solver to the restored temperatures."""
@@ -107,11 +109,11 @@ class HeatState:
         return len(self.vectors())
 
     def _state(self, x: Sequence[PETSc.Vec]) -> State:
-        return [*(v.array.copy() for v in x), *(a.copy() for a in self.step.degrees(x))]
+        return [*(v.array.copy() for v in x), *(a.copy() for a in self.system.degrees(x))]
 
     def set_solver_state(self, state: State) -> None:
         """Set temperatures and jumps in the solver."""
-        for v, values in zip(self.vectors(), state, strict=False):
+        for v, values in zip(self.vectors(), state[: self._block_count], strict=True):
             v.array[:] = values
 
     # A time step
@@ -123,15 +125,19 @@ class HeatState:
         """
         n = self._block_count
         errors = list(error[:n])
-        for degree, e, nodes in zip(self.state[n:], error[n:], self._curing, strict=False):
+        errors_of_cure = error[n : len(self.state)]  # without friction work
+        for degree, e, nodes in zip(self.state[n:], errors_of_cure, self._curing, strict=True):
             errors.append(error_as_temperature(degree, e, nodes.adiabatic_rise))
         local = max(float(np.abs(e).max(initial=0.0)) for e in errors)
         return float(self.operators.comm.allreduce(local, MPI.MAX)) / self.options.tolerance
 
     def _solve(self, start: State, h: float, seconds: float, guess: State) -> State | None:
-        """Solve a stage; None if it fails. With mechanics, states end with the friction work."""
+        """Solve an implicit stage of a time step; None if it fails.
+
+        If mechanics is coupled, the last entry of a state is the friction work.
+        """
         blocks, parts, coupled = self._block_count, len(self.state), self.coupled
-        if not self.step.begin(start[:blocks], start[blocks:parts], h, seconds):
+        if not self.system.begin(start[:blocks], start[blocks:parts], h, seconds):
             return None
         self.set_solver_state(guess)
         if coupled is not None:
@@ -142,7 +148,7 @@ class HeatState:
         self.total.count(self.outcome)
         if not self.outcome.converged:
             return None
-        self._flows_of_stages.append(self.step.flows(self.vectors()))
+        self._flows_of_implicit_stages.append(self.system.flows(self.vectors()))
         friction_work = [coupled.contact_heat.friction_work] if coupled is not None else []
         return [*self._state(self.vectors()), *friction_work]
 
@@ -153,21 +159,23 @@ class HeatState:
         return [*state, *work]
 
     def start(self, longest: float) -> float:
-        """Set the rate of change at the start of a stage; return its first step [s].
+        """Set the rate of change at the start of a stage of the case; return its first step [s].
 
-        If mechanics is coupled, the rate is not computed: it takes a very short step, whose slips
-        are below rounding.
+        If mechanics is coupled, the rate is not computed, because computing it needs a very short
+        step, in which slips are below rounding.
         """
         first_step = FIRST_STEP * longest
         if self.coupled is None:
             shortest = 1e-6 * min(longest, 1.0)
-            slope = integrator.start_slope(self.state, self.seconds, shortest, self._solve)
-            self.slope = slope or self.slope
-            first_step = integrator.first_step(self.slope, self.norm, longest)
+            rate = integrator.start_rate(self.state, self.seconds, shortest, self._solve)
+            self.rate = rate or self.rate
+            first_step = integrator.first_step(self.rate, self.norm, longest)
         return self.options.first_step or first_step
 
-    def attempt(self, dt: float, fixed: bool = False) -> tuple[integrator.StageStep, Method] | None:
-        """Solve a time step; None if a stage does not converge.
+    def attempt(
+        self, dt: float, fixed: bool = False
+    ) -> tuple[integrator.SolvedTimeStep, Method] | None:
+        """Solve a time step; None if an implicit stage does not converge.
 
         If ``fixed`` is True, the step cannot be shortened. It is then repeated by backward Euler.
 
@@ -175,13 +183,13 @@ class HeatState:
         principle): first without the mesh edges that cause this (`heat.maximum_principle`), then by
         backward Euler.
         """
-        state, slope = (self._with_work(part) for part in (self.state, self.slope))
+        state, rate = (self._with_work(part) for part in (self.state, self.rate))
         principle = self.operators.principle
         for name in dict.fromkeys((self.method.name, "backward_euler")):
             method = METHODS[name]
             while True:
-                self._flows_of_stages = []
-                solution = integrator.step(method, state, slope, dt, self.seconds, self._solve)
+                self._flows_of_implicit_stages = []
+                solution = integrator.step(method, state, rate, dt, self.seconds, self._solve)
                 T = self.operators.nodal(self.vectors())
                 is_violated = solution is not None and principle.is_violated(T)
                 if not is_violated or not principle.correct(T):
@@ -190,29 +198,29 @@ class HeatState:
                 break
         return (solution, method) if solution is not None else None
 
-    def accept(self, solution: integrator.StageStep, method: Method, dt: float) -> HeatStep:
+    def accept(self, solution: integrator.SolvedTimeStep, method: Method, dt: float) -> HeatStep:
         """Commit a step."""
         heats = {
-            name: dt * sum(method.a[-1] * [stage[name] for stage in self._flows_of_stages])
-            for name in self._flows_of_stages[-1]
+            name: dt * sum(method.a[-1] * [flows[name] for flows in self._flows_of_implicit_stages])
+            for name in self._flows_of_implicit_stages[-1]
         }
         self.operators.principle.restore_edges(self.operators.nodal(self.vectors()))
         parts = slice(len(self.state))
-        self.state, self.slope = solution.state[parts], solution.slope[parts]
+        self.state, self.rate = solution.state[parts], solution.rate[parts]
         self.seconds += dt
         self.total.steps += 1
-        return HeatStep(self.seconds, dt, heats, self._flows_of_stages[-1], self.outcome)
+        return HeatStep(self.seconds, dt, heats, self._flows_of_implicit_stages[-1], self.outcome)
 
     def solve_steady(self) -> HeatStep | None:
         """Solve for the steady state; None if it does not converge."""
-        self._flows_of_stages = []
+        self._flows_of_implicit_stages = []
         state = self._solve(self._with_work(self.state), np.inf, self.seconds, self.state)
         if state is None:
             return None
         state = state[: len(self.state)]
-        self.state, self.slope = state, [np.zeros_like(part) for part in state]
+        self.state, self.rate = state, [np.zeros_like(part) for part in state]
         self.total.steps += 1
-        return HeatStep(self.seconds, 0.0, {}, self._flows_of_stages[-1], self.outcome)
+        return HeatStep(self.seconds, 0.0, {}, self._flows_of_implicit_stages[-1], self.outcome)
 
     # Queries
 
@@ -224,32 +232,32 @@ class HeatState:
         curing = cure.events if cure else ()
         return tuple(sorted({*times, *curing}))
 
-    def begins_at_event(self, accepted: HeatStep) -> bool:
-        """Return True if a step begins at an event, at which the step before ended."""
-        step_start = accepted.seconds - accepted.dt
+    def begins_at_event(self, heat_step: HeatStep) -> bool:
+        """Return True if a step begins at an event."""
+        step_start = heat_step.seconds - heat_step.dt
         return bool(np.isclose(self.events, step_start, rtol=SAME_TIME, atol=0.0).any())
 
     def temperatures(self) -> Floats:
         """Temperatures of owned nodes of each body (b, n) [K]."""
         return self._nodal(self.state)
 
-    def slopes(self) -> Floats:
+    def temperature_rates(self) -> Floats:
         """Rates of change of temperature at owned nodes of each body (b, n) [K/s]."""
-        return self._nodal(self.slope)
+        return self._nodal(self.rate)
 
     def degrees(self) -> dict[str, Floats]:
         """Degrees of cure of owned nodes of each curing region."""
         degrees = self.state[self._block_count :]
         return {c.region: degree for c, degree in zip(self._curing, degrees, strict=True)}
 
-    def rates(self) -> dict[str, Floats]:
+    def cure_rates(self) -> dict[str, Floats]:
         """Rates of cure of owned nodes of each curing region [1/s]."""
-        rates = self.slope[self._block_count :]
+        rates = self.rate[self._block_count :]
         return {c.region: rate for c, rate in zip(self._curing, rates, strict=True)}
 
     def _nodal(self, state: State) -> Floats:
         """Temperatures of owned nodes of each body in a state (b, n) [K]."""
-        x = self.step.vectors()
-        for v, values in zip(x, state, strict=False):
+        x = self.system.vectors()
+        for v, values in zip(x, state[: len(x)], strict=True):
             v.array[:] = values
         return self.operators.nodal(x)

@@ -122,9 +122,9 @@ class HeatStepper:
         time = self._k + (1.0 if step.end > 1 - SHORTEST_STEP else step.end)
         if self.mechanics is not None:
             self.mechanics.after_heat_step(time, step.ends_increment)
-        outcome, seconds = accepted_step.outcome, clock.perf_counter() - started
+        outcome, wall_seconds = accepted_step.outcome, clock.perf_counter() - started
         load_step = LoadStep(
-            self.total.steps, self._stage.name, time, outcome, seconds, step.ends_increment
+            self.total.steps, self._stage.name, time, outcome, wall_seconds, step.ends_increment
         )
         self._on_heat(load_step, accepted_step)
         self.steps_done += 1

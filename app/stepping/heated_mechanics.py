@@ -24,7 +24,7 @@ from app.stepping.heat_state import HeatState
 from app.stepping.load_steps import LoadStepper
 
 # Rounding error of a number of steps.
-ROUNDING = 1e-9
+ROUNDING_OF_STEP_COUNTS = 1e-9
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,10 @@ class HeatedMechanics:
     def _advance(self, current_state: ThermalState, start_time: float, end_time: float) -> None:
         """Solve from the thermal state of the last solve to another one, between two times."""
         previous_state = self.previous
-        steps = max(math.ceil(self._largest_change(current_state) / self._limit - ROUNDING), 1)
+        steps = max(
+            math.ceil(self._largest_change(current_state) / self._limit - ROUNDING_OF_STEP_COUNTS),
+            1,
+        )
         self.previous = current_state
 
         def set_load(fraction: float) -> None:

@@ -50,7 +50,7 @@ class LoadStep:
         stage: Name of its stage.
         time: Time at its end: stage k runs from k to k + 1.
         outcome: Outcome of the nonlinear solve.
-        seconds: Wall time, failed attempts included.
+        wall_seconds: Wall time, failed attempts included [s].
         ends_increment: True if it ends an increment of its stage, for which fields are written.
     """
 
@@ -58,7 +58,7 @@ class LoadStep:
     stage: str
     time: float
     outcome: NewtonResult
-    seconds: float
+    wall_seconds: float
     ends_increment: bool
 
 
@@ -240,8 +240,8 @@ class LoadStepper:
             predictor.commit(time)
         self.total.steps += 1
         self.total.augmentation = outcome.augmentation
-        seconds = clock.perf_counter() - started
-        step = LoadStep(self.total.steps, stage.name, time, outcome, seconds, ends_increment)
+        wall_seconds = clock.perf_counter() - started
+        step = LoadStep(self.total.steps, stage.name, time, outcome, wall_seconds, ends_increment)
         self.on_step(step, trial)
         tipped = self._cover.tipped()
         if tipped:

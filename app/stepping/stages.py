@@ -79,7 +79,7 @@ class Steppers:
             The number of steps and iterations.
 
         Raises:
-            ConvergenceError: A failed step cannot or may not be cut, or a body runs away.
+            ConvergenceError: A step failed and could not be cut further, or a body floats away.
         """
         for k, stage in enumerate(stages[first:], first):
             before_stage(stage)

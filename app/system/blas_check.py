@@ -17,12 +17,12 @@ from app.foundation.arrays import Floats, Ints
 # Larger than the blocks of usual kernels, and no multiple of them.
 SIZE = 131
 # Largest relative error of a right result.
-ROUNDING = 1e-10
+ROUNDING_OF_BLAS = 1e-10
 
 
 def wrong_results() -> list[str]:
     """Names of the operations that give wrong results on this machine."""
-    return [name for name, error in _errors() if not error <= ROUNDING]
+    return [name for name, error in _errors() if not error <= ROUNDING_OF_BLAS]
 
 
 def _errors() -> Iterator[tuple[str, float]]:

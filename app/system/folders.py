@@ -18,7 +18,7 @@ from app.foundation import files
 from app.foundation.errors import EnvironmentProblem, InputError
 
 # File in the folder of a variation that did not converge, with the reason.
-FAILED = "FAILED"
+FAILED_FILE = "FAILED"
 # Initial caches of users of an image.
 SEED = Path("/var/cache/mantle")
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from app import __version__
 
 # Modules that no number of a run depends on: changing them leaves finished runs valid.
-OUTSIDE = re.compile(
+WITHOUT_INFLUENCE = re.compile(
     r"app/(__init__|cli|(campaigns|command_line|report|validation|verification)/.*|results/reading"
     r"|case/(fit|keys|new_case|study|sweep)|system/doctor)\.py"
 )
@@ -51,7 +51,7 @@ def program() -> str:
     """The version and a hash of the sources, which change more often."""
     digest = hashlib.sha256()
     for name, path in sorted(sources().items()):
-        if not OUTSIDE.fullmatch(name):
+        if not WITHOUT_INFLUENCE.fullmatch(name):
             digest.update(f"{name}\0".encode() + path.read_bytes())
     return f"{__version__} {digest.hexdigest()}"
 

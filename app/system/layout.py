@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 # One or several, with errors and with a unit of a few letters, if any.
 NUMBER = re.compile(r"([-+<]?\s*[\d.][\d.,e+\-±/ ]*( ?[^\d\s]{1,3})?|[-/. ]*)")
 # Fraction of the largest component of a vector below which another one is printed as zero.
-ROUNDING = 1e-12
+ROUNDING_OF_COMPONENTS = 1e-12
 
 
 def text_table(
@@ -124,7 +124,7 @@ def _without_rounding(values: Sequence[object]) -> Sequence[object]:
         return values
     if len(split_values) < len(values) or len({unit for _, _, unit in split_values}) > 1:
         return values
-    small = ROUNDING * max(sizes, default=0.0)
+    small = ROUNDING_OF_COMPONENTS * max(sizes, default=0.0)
     return [
         f"0{space}{unit}" if size < small else value
         for value, size, (_, space, unit) in zip(values, sizes, split_values, strict=True)

@@ -17,14 +17,14 @@ RESERVED = 0.05
 # The longest time that is reserved [s].
 MOST_RESERVED = 60.0
 FORMS = "H:MM:SS, MM:SS, D-H:MM:SS, or a number with s, min, h or d"
-UNITS = {"s": 1, "min": 60, "h": 3600, "d": 86400}
+TIME_UNITS = {"s": 1, "min": 60, "h": 3600, "d": 86400}
 
 
 def seconds_of_duration(text: str) -> float:
     """Seconds of a duration: as in batch systems, ``[D-]H:MM:SS`` or ``MM:SS``, or ``90 min``."""
     total = 0.0
     if with_unit := re.fullmatch(r"(\d+\.?\d*)\s*(s|min|h|d)", text.strip()):
-        total = float(with_unit[1]) * UNITS[with_unit[2]]
+        total = float(with_unit[1]) * TIME_UNITS[with_unit[2]]
     elif clock_time := re.fullmatch(r"(?:(?:(\d+)-)?(\d+):)?(\d+):(\d\d)", text.strip()):
         days, hours, minutes, remaining_seconds = (int(part or 0) for part in clock_time.groups())
         total = float(((24 * days + hours) * 60 + minutes) * 60 + remaining_seconds)

@@ -31,7 +31,7 @@ from app.system.folders import csv_text, remove, write_json, write_text
 from app.validation import metrics, picture, records
 from app.validation.catalogue import EXPERIMENTS
 from app.validation.experiment import (
-    COARSER,
+    COARSER_POINTS,
     NOMINAL,
     SAMPLES,
     Conditions,
@@ -46,7 +46,7 @@ log = logging.getLogger("mantle")
 # Largest relative change of a value that counts as reproduced.
 REPRODUCED = 1e-3
 # Least number of samples that make a prediction.
-FEWEST = 8
+FEWEST_SAMPLES = 8
 # Folders of the program and its cases, in which a recorded prediction allows no uncommitted change.
 COMMITTED = ("app", "forms", "meshes", "configs")
 
@@ -269,9 +269,9 @@ def predict(experiment: Experiment, results: Sequence[Result]) -> dict[str, Pred
     Samples with a run that failed are left out.
 
     Raises:
-        InputError: Fewer than `FEWEST` samples are complete.
+        InputError: Fewer than `FEWEST_SAMPLES` samples are complete.
     """
-    nominal, coarser = (_conditions(results, part) for part in (NOMINAL, COARSER))
+    nominal, coarser = (_conditions(results, part) for part in (NOMINAL, COARSER_POINTS))
     complete: list[Conditions] = []
     inputs: list[dict[str, object]] = []
     for number in range(1, experiment.designs[0].samples + 1):
@@ -282,8 +282,8 @@ def predict(experiment: Experiment, results: Sequence[Result]) -> dict[str, Pred
         complete.append(conditions)
         runs = [r.planned for r in results if place_of_run(r.planned.name).sample == number]
         inputs.append(_inputs(experiment, runs))
-    if len(complete) < FEWEST:
-        message = f"only {len(complete)} samples are complete; a prediction needs {FEWEST}"
+    if len(complete) < FEWEST_SAMPLES:
+        message = f"only {len(complete)} samples are complete; a prediction needs {FEWEST_SAMPLES}"
         raise InputError(f"{experiment.sweep}: {message}")
     by_key = {key: [of_sample[key] for of_sample in inputs] for key in inputs[0]}
     return {

@@ -30,7 +30,7 @@ from app.schema import yaml_file
 
 # Names of the parts of the sweep of an experiment.
 NOMINAL = "nominal"
-COARSER = "coarser"
+COARSER_POINTS = "coarser"
 SAMPLES = "samples"
 # Name of a sample at the end of the name of a point, before its number.
 SAMPLE = "sample"

@@ -43,7 +43,7 @@ def stiffness(run: Results) -> float:
 
 # A stem without cement, four sides
 
-SIDES = ("medial", "lateral", "anterior", "posterior")
+GAUGE_SIDES = ("medial", "lateral", "anterior", "posterior")
 SHAPE = (
     "Outside of the band the outline or the cortex of the femur that was tested differs from this "
     "one, or its potting and force differ from the ranges."
@@ -95,7 +95,7 @@ COMPOSITE_STRAIN = Experiment(
                 "intact",
                 SHIELDED,
             )
-            for side in SIDES
+            for side in GAUGE_SIDES
         },
         "distal_share": PredictedQuantity.ratio(
             "strain along the shaft with the stem over that of the intact femur, medial, 80 mm "
@@ -111,7 +111,7 @@ COMPOSITE_STRAIN = Experiment(
 # A cemented stem that loses its bond
 
 # Levels of the gauges in the medial cement by name [mm].
-LEVELS = {"proximal": -10.0, "middle": -50.0, "distal": -100.0}
+GAUGE_LEVELS = {"proximal": -10.0, "middle": -50.0, "distal": -100.0}
 
 
 def cement_strain(run: Results, z: float) -> float:
@@ -149,7 +149,7 @@ COMPOSITE_BOND = Experiment(
                 "bonded",
                 BOND,
             )
-            for name, z in LEVELS.items()
+            for name, z in GAUGE_LEVELS.items()
         },
         **{
             f"bone_{level}": PredictedQuantity.ratio(

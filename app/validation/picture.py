@@ -19,9 +19,9 @@ Pair = tuple[str, Prediction, MeasuredQuantity | None]
 PREDICTED = 0
 MEASURED = 1
 # Font size of names of quantities.
-WORDS = 8
+FONT_SIZE_OF_QUANTITIES = 8
 # Least end of a band over its value, on logarithmic axes.
-LEAST = 1 / 30
+LEAST_END_RATIO = 1 / 30
 # Fraction of the width of the axes beyond which a name stands to the left of its point.
 NEAR_END = 0.85
 # Height of a row [inch].
@@ -31,7 +31,8 @@ ROW = 0.42
 def draw_all(pairs: Sequence[Pair], path: Path) -> None:
     """Draw predicted against measured values, on logarithmic axes.
 
-    Values without a logarithm are left out, and counted; bands end at `LEAST` of the value.
+    Values without a logarithm are left out, and counted. Bands end at `LEAST_END_RATIO` of the
+    value.
     """
     figure = figures.new(6.8, 6.4)
     axes = figure.add_subplot()
@@ -45,8 +46,8 @@ def draw_all(pairs: Sequence[Pair], path: Path) -> None:
         if min(measured.middle, prediction.value) <= 0:
             left_out += 1
             continue
-        lowest_predicted = max(lowest_predicted, LEAST * prediction.value)
-        lowest_measured = max(lowest_measured, LEAST * measured.middle)
+        lowest_predicted = max(lowest_predicted, LEAST_END_RATIO * prediction.value)
+        lowest_measured = max(lowest_measured, LEAST_END_RATIO * measured.middle)
         colour = figures.colour(PREDICTED if metrics.inside(prediction, measured) else MEASURED)
         axes.plot(
             [lowest_measured, highest_measured], [prediction.value] * 2, color=colour, linewidth=1.2
@@ -75,7 +76,7 @@ def draw_all(pairs: Sequence[Pair], path: Path) -> None:
         axes.annotate(
             f" {name} ",
             (x, y),
-            fontsize=WORDS - 1,
+            fontsize=FONT_SIZE_OF_QUANTITIES - 1,
             va="bottom",
             ha="right" if is_near_end else "left",
         )
@@ -97,7 +98,7 @@ def draw_one(title: str, pairs: Sequence[Pair], path: Path) -> None:
     units = {"-": ""}
     values = [f"{p.value:.3g} {units.get(p.unit, p.unit)}".rstrip() for _, p, _ in pairs]
     row_labels = [f"{name}\n{value}" for (name, *_), value in zip(pairs, values, strict=True)]
-    axes.set_yticks(range(len(pairs)), row_labels, fontsize=WORDS)
+    axes.set_yticks(range(len(pairs)), row_labels, fontsize=FONT_SIZE_OF_QUANTITIES)
     axes.set_ylim(len(pairs) - 0.4, -0.6)
     axes.set_xlabel("over the predicted value")
     legend_entries = [(PREDICTED, "predicted")]
@@ -105,8 +106,14 @@ def draw_one(title: str, pairs: Sequence[Pair], path: Path) -> None:
         legend_entries.append((MEASURED, "measured"))
     for k, label in legend_entries:
         axes.plot([], [], "o-", color=figures.colour(k), label=label)
-    axes.legend(fontsize=WORDS, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
-    axes.set_title(title, loc="right", fontsize=WORDS)
+    axes.legend(
+        fontsize=FONT_SIZE_OF_QUANTITIES,
+        frameon=False,
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=2,
+    )
+    axes.set_title(title, loc="right", fontsize=FONT_SIZE_OF_QUANTITIES)
     figures.grid(axes)
     figures.save_figure(figure, path, 110, PNG)
 

@@ -33,7 +33,7 @@ PREDICTIONS = FOLDER / "predictions.json"
 MEASURED = FOLDER / "measured.json"
 
 # Digits of a hash of inputs.
-DIGITS = 16
+DIGITS_OF_HASH = 16
 
 Interval = tuple[float, float]
 Content = TypeVar("Content")
@@ -196,4 +196,4 @@ def hash_of_inputs(experiment: Experiment) -> str:
     digest = hashlib.sha256(inputs_json.encode())
     for script in sorted(set(re.findall(r'([^"/]+\.geo)"', inputs_json))):
         digest.update((cases[0].parent / script).read_bytes())
-    return digest.hexdigest()[:DIGITS]
+    return digest.hexdigest()[:DIGITS_OF_HASH]

@@ -17,7 +17,7 @@ from app.foundation.arrays import Floats
 
 Law = tuple[float, float, float, float]
 # The law of creep_bar.yaml.
-CEMENT: Law = (7.985e-7, 1.9063, 0.4113, -0.1160)
+CEMENT_CREEP: Law = (7.985e-7, 1.9063, 0.4113, -0.1160)
 # Norton's law, of exponent 4.
 NORTON: Law = (1e-6, 4.0, 1.0, 0.0)
 E = 2200.0  # Young's modulus of creep_bar.yaml [MPa]

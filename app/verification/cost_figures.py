@@ -18,7 +18,7 @@ from app.verification.problem import Comparison, ProblemRun, solution
 
 # Mesh sizes of the femur, by about how many unknowns they give at first order.
 RUNGS = {"20k": "2.8 mm", "100k": "2.4 mm", "170k": "1.3 mm", "1m": "1 mm"}
-LONG = "1m"  # the rung for the tier "long" alone
+LONG_RUNG = "1m"  # the rung for the tier "long" alone
 REPEATS = 3  # runs per median on small meshes
 CHEAP = ("20k", "50k", "100k")
 # Meshes on which contact may take twice the time of bonded interfaces.
@@ -28,7 +28,7 @@ STANCE = ("output.error=false", "stages.0.increments=1")
 INTERFACES = ("stem_cement", "cement_bone")
 BONDED = tuple(f"interfaces.{name}={{kind: bonded}}" for name in INTERFACES)
 # The stem a little too large for its hole: a quarter of its points slip, no others.
-STEM = "bench/stem.yaml"
+BENCH_STEM = "bench/stem.yaml"
 STEM_RUNGS = {"50k": "1.79 mm", "100k": "1.35 mm"}
 MODERATE = ("interfaces.stem_cement.gap=-0.004 mm",)
 # Twelve cases of one mesh and stiffness: friction by hip force.
@@ -55,7 +55,8 @@ CONDENSED = {"20k": "8 mm", "100k": "4 mm"}
 # Second order: the timed case, and the reference of both orders.
 SECOND = "5 mm"
 REFERENCE = "3 mm"
-ROUNDING = 1e-12  # mm
+# Penetration that is rounding [mm].
+ROUNDING_OF_PENETRATION = 1e-12
 
 # Runs
 
@@ -71,7 +72,7 @@ def cemented_stem(rung: str, overrides: Sequence[str]) -> ProblemRun:
     """The stem on a mesh of one size."""
     size = STEM_RUNGS[rung]
     sizes = (f"mesh.size={size}", f"mesh.far_size={size}")
-    return ProblemRun(STEM, (*overrides, *sizes), times=REPEATS if rung in CHEAP else 1)
+    return ProblemRun(BENCH_STEM, (*overrides, *sizes), times=REPEATS if rung in CHEAP else 1)
 
 
 def runs_of_variations(first: ProblemRun) -> list[ProblemRun]:

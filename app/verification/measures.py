@@ -30,7 +30,7 @@ WOOD = exact.Fibrous(E_l=12e3, E_t=2e3, nu_l=0.4, nu_t=0.3, mu_l=1e3)
 # Tolerance where a closed form is compared with a mesh.
 MESH = 0.02
 # Fraction of a displacement, or of the friction limit, that counts as zero.
-NOTHING = 1e-6
+NEGLIGIBLE_FRACTION = 1e-6
 
 
 def slice_of(size: float) -> tuple[str, ...]:
@@ -139,7 +139,7 @@ def difference_between(
             gap = other.at_interface(name, "gap", step) * lengths
             peak = float(pressure.max())
             # Gap and slip are one vector; rounding alone has no scale.
-            jump = max(float(np.abs(gap).max()), NOTHING * float(np.abs(u).max()))
+            jump = max(float(np.abs(gap).max()), NEGLIGIBLE_FRACTION * float(np.abs(u).max()))
             fields = {"pressure": (pressure, peak), "shear": (shear, peak)}
             if f"{name}_slip" in other.point_fields:  # not with finite sliding
                 slip = other.at_interface(name, "slip", step) * lengths

@@ -14,15 +14,16 @@ from app.plots.tables import Dot, Kind, dots
 from app.verification.problem import FAILED, MISSED, PASSED, REFUSED, Row, by_group
 
 # Dots of each outcome, in the order of the legend.
-KINDS = {
+DOT_OF_OUTCOME = {
     PASSED: Kind(PASSED, "#2e8b57", "o"),
     REFUSED: Kind(REFUSED, "#4a90c4", "s"),
     MISSED: Kind(MISSED, "#d1343b", "D"),
     FAILED: Kind(FAILED, "#2b2b2b", "X"),
 }
-# Errors over tolerances that are drawn at the margins.
-LEAST = 1e-6
-MOST = 30.0
+# Smaller errors over tolerances are drawn at the left margin [-].
+SMALLEST_ERROR_RATIO = 1e-6
+# Larger errors over tolerances are drawn at the right margin [-].
+LARGEST_ERROR_RATIO = 30.0
 # Style of the entry of theory in the legend: grey.
 GREY = 5
 
@@ -43,7 +44,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         axes.legend(fontsize=8, frameon=False)
     axes = figure.add_subplot(cells[:, -1])
     by_name = {name: [_dot(row) for row in group] for name, group in groups.items()}
-    dots(axes, by_name, (LEAST, MOST), 1.0)
+    dots(axes, by_name, (SMALLEST_ERROR_RATIO, LARGEST_ERROR_RATIO), 1.0)
     axes.set_xlabel("error / tolerance")
     figures.save_figure(figure, path, 110, PNG)
 
@@ -63,6 +64,6 @@ def _orders(rows: Sequence[Row]) -> Panel:
 
 def _dot(row: Row) -> Dot:
     """The error over the tolerance: none of a refusal, as bad as any of a failure."""
-    ratio = LEAST if row.outcome == REFUSED else row.ratio
+    ratio = SMALLEST_ERROR_RATIO if row.outcome == REFUSED else row.ratio
     name = row.name if row.outcome in (MISSED, FAILED) else ""
-    return Dot(ratio, KINDS[row.outcome], name)
+    return Dot(ratio, DOT_OF_OUTCOME[row.outcome], name)

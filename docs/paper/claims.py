@@ -21,7 +21,7 @@ DIFFERS = "differs"
 UNDECIDED = "undecided"
 FLAT = 0.20  # relative spread up to which a number counts as constant
 MUCH = 2.0  # factor that "drastically" is taken to mean at least
-ROUNDING = 1e-6  # relative difference that is none
+ROUNDING_OF_VALUES = 1e-6  # relative difference that is none
 AT = {"stem": "{} stem", "thickness": "{} mm", "friction": "friction {}"}  # by parameter
 MISSING = "no results of"
 
@@ -71,7 +71,7 @@ def exceeds(a: Number, b: Number, factor: float = 1.0) -> str:
     errors = (a.error or 0.0) + factor * (b.error or 0.0)
     if errors and abs(difference) <= errors:
         return UNDECIDED
-    return AGREES if difference > ROUNDING * abs(b.value) else DIFFERS
+    return AGREES if difference > ROUNDING_OF_VALUES * abs(b.value) else DIFFERS
 
 
 def alike(a: Number, b: Number, tolerance: float) -> str:

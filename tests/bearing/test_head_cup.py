@@ -53,7 +53,7 @@ def test_head_cup_bodies_are_separate_and_on_spheres(size: float, order: int) ->
     head, liner = (data.cells[data.cell_tags == data.regions[n]] for n in ("head", "liner"))
     assert not np.isin(head, liner).any()
     assert not len(interface_facets(data, "bearing")[0])
-    sides = zip(CUP.faces["bearing"], (R, INNER), (head, liner), strict=True)
+    sides = zip(CUP.sliding_boundaries["bearing"], (R, INNER), (head, liner), strict=True)
     for name, radius, body in sides:
         on = nodes_of_boundary_facets(data, name)
         assert np.abs(away(data, on) - radius).max() < 1e-9

@@ -49,11 +49,11 @@ class Bench:
     def __init__(self, folder: Path) -> None:
         self.folder, self.out = folder, folder / "out put"
         self.case, self.sweep = folder / "case.yaml", folder / "sweep.yaml"
-        self.tell(broken="", code="1", seconds="0", meet="1", awaited=".")
-        self.tell(interrupted="5")
-        self.tell(**{"case.yaml": CASE, "sweep.yaml": SWEEP})
+        self.write(broken="", code="1", seconds="0", meet="1", awaited=".")
+        self.write(interrupted="5")
+        self.write(**{"case.yaml": CASE, "sweep.yaml": SWEEP})
 
-    def tell(self, **files: str) -> None:
+    def write(self, **files: str) -> None:
         for name, text in files.items():
             (self.folder / name).write_text(text)
 

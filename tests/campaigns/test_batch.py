@@ -29,7 +29,7 @@ def test_batch_failures_are_isolated_and_repeated(
     bench: Bench, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, "mantle")
-    bench.tell(broken="2.0")
+    bench.write(broken="2.0")
     jobs = [bench.job(1.0), bench.job(2.0), bench.job(3.0)]
     results = bench.run(*jobs)
     assert [r.planned for r in results] == jobs
@@ -43,7 +43,7 @@ def test_batch_failures_are_isolated_and_repeated(
     assert [m[:6] for m in lines] == ["[1/3] ", "[2/3] ", "[3/3] "]
     assert any("size-2.0 failed with exit code 1" in m for m in lines)
     assert all(re.search(r"size-[13].0 done in \d+.\d s", m) for m in lines if "failed" not in m)
-    bench.tell(broken="")
+    bench.write(broken="")
     results = bench.run(*jobs)
     assert bench.sizes() == [2.0]
     assert [r.exit_code for r in results] == [0, 0, 0] and results[1].summary["size"] == 2.0
@@ -53,7 +53,7 @@ def test_batch_failures_are_isolated_and_repeated(
     assert {p: p.stat().st_mtime_ns for p in bench.out.rglob("[!.]*")} == before
     # What cannot be read is not done.
     (results[0].folder / "summary.json").write_text("{")
-    bench.tell(broken="1.0")
+    bench.write(broken="1.0")
     assert bench.run(*jobs)[0].exit_code == 1 and bench.sizes() == [1.0]
 
 
@@ -135,7 +135,7 @@ def test_batch_jobs_share_cores_and_memory(
     """Two jobs run on two cores with 8 GB, with one thread each. Timed jobs run alone."""
     monkeypatch.setattr(memory, "available_memory", lambda environ: 8e9)
     monkeypatch.setattr(memory, "needed", lambda case: gigabytes * 1e9)
-    bench.tell(seconds="0.2", meet="2" if together else "1")
+    bench.write(seconds="0.2", meet="2" if together else "1")
     bench.run(*(bench.job(s, timed=timed) for s in (1.0, 2.0)))
     assert (bench.folder / "met").exists() == together
     # Snakemake would give each as many threads as cores.
@@ -144,7 +144,7 @@ def test_batch_jobs_share_cores_and_memory(
 
 def test_batch_stops_if_the_table_cannot_be_written(bench: Bench) -> None:
     """One case has failed, the other is running."""
-    bench.tell(seconds="60", broken="2.0")
+    bench.write(seconds="60", broken="2.0")
 
     def tell(results: object) -> None:
         wait(lambda: len((bench.folder / "calls").read_text().splitlines()) == 2)

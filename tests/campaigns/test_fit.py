@@ -99,7 +99,7 @@ def model(bench: Bench, noise: float, monkeypatch: pytest.MonkeyPatch) -> Bench:
 
 
 def search(bench: Bench, text: str, *overrides: str) -> Any:
-    bench.tell(**{"fit.yaml": text})
+    bench.write(**{"fit.yaml": text})
     return fit.run(bench.folder / "fit.yaml", overrides, Options(bench.out, 2))
 
 
@@ -199,7 +199,7 @@ def test_fit_says_nothing_on_the_bound_of_a_key_that_is_not_determined(model: Be
 
 def test_fit_goes_around_failed_runs_and_names_them(bench: Bench) -> None:
     """The slip is 0.04 * 0.99 / friction. The first difference fails, so the other side is run."""
-    bench.tell(broken="0.54", code="4")
+    bench.write(broken="0.54", code="4")
     record = search(bench, FRICTION_BY_SLIP)
     (verdict,) = record["verdicts"]
     assert "1 of " in verdict["what"] and "block slides away" in verdict["what"]
@@ -210,7 +210,7 @@ def test_fit_goes_around_failed_runs_and_names_them(bench: Bench) -> None:
 
 
 def test_fit_whose_first_run_fails_asks_for_another_start(bench: Bench) -> None:
-    bench.tell(broken="0.5", code="4")
+    bench.write(broken="0.5", code="4")
     with pytest.raises(ConvergenceError, match=r"first run failed: .*slides.*another start"):
         search(bench, FRICTION_BY_SLIP)
 
@@ -229,7 +229,7 @@ def test_fit_out_of_runs_has_its_best_run_and_continues(bench: Bench) -> None:
 
 def test_fit_interrupted_resumes_from_the_runs_on_disk(bench: Bench) -> None:
     """All runs but the first wait for a file; a signal stops them."""
-    bench.tell(awaited="nothing")
+    bench.write(awaited="nothing")
 
     def interrupt() -> None:
         wait(bench.finished)
@@ -241,7 +241,7 @@ def test_fit_interrupted_resumes_from_the_runs_on_disk(bench: Bench) -> None:
         search(bench, FRICTION_BY_SLIP)
     thread.join()
     done = {p: p.stat().st_mtime_ns for p in bench.finished()}
-    bench.tell(awaited=".")
+    bench.write(awaited=".")
     record = search(bench, FRICTION_BY_SLIP)
     assert done and {p: p.stat().st_mtime_ns for p in done} == done
     again = search(bench, FRICTION_BY_SLIP)
@@ -325,7 +325,7 @@ def test_fit_page_of_a_minimum_names_its_objective(model: Bench) -> None:
 
 def test_fit_dry_run_lists_the_first_run(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "mantle")
-    bench.tell(**{"fit.yaml": file()})
+    bench.write(**{"fit.yaml": file()})
     options = Options(bench.out, 2, dry_run=True)
     assert fit.run(bench.folder / "fit.yaml", (), options) is None
     assert "the first of at most 40 runs" in caplog.text and not bench.out.exists()
@@ -333,7 +333,7 @@ def test_fit_dry_run_lists_the_first_run(bench: Bench, caplog: pytest.LogCapture
 
 def test_fit_of_a_number_that_runs_do_not_have_is_refused_at_its_place(model: Bench) -> None:
     targets = "    stem.subsidence: {value: 30 um, uncertainty: 3 um}\n"
-    model.tell(**{"fit.yaml": file(targets=targets)})
+    model.write(**{"fit.yaml": file(targets=targets)})
     with pytest.raises(InputError, match=r"fit.yaml:8:5: fit.targets.stem.subsidence: the geom"):
         fit_file.read(model.folder / "fit.yaml")
     targets = "    upper.hoop_p99: {value: 30 MPa, uncertainty: 3 MPa}\n"
@@ -451,7 +451,7 @@ def test_fit_bad_input_is_refused_at_its_place(name: str, bench: Bench) -> None:
 def test_fit_files_and_others_are_told_apart(
     command: str, content: str, words: str, bench: Bench, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bench.tell(**{"other.yaml": content})
+    bench.write(**{"other.yaml": content})
     assert main([command, str(bench.folder / "other.yaml")]) == InputError.exit_code
     assert words in capsys.readouterr().err
 
@@ -462,7 +462,7 @@ def test_fit_files_that_are_shipped_are_valid(name: str) -> None:
 
 
 def test_fit_set_of_a_fitted_key_is_refused(bench: Bench) -> None:
-    bench.tell(**{"fit.yaml": file()})
+    bench.write(**{"fit.yaml": file()})
     with pytest.raises(MantleError, match=r"--set .*fixes it for every case"):
         fit_file.read(bench.folder / "fit.yaml", [f"{FRICTION}=0.3"])
 

@@ -83,7 +83,7 @@ def test_sweep_cases_share_processes_and_have_a_row_each(
 
 def test_sweep_table_grows_while_cases_run(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(batch, "OFTEN", 0.0)
-    bench.tell(awaited="out put/sweep.json")
+    bench.write(awaited="out put/sweep.json")
     written: list[list[str]] = []
     write = sweep.write_json
 
@@ -104,7 +104,7 @@ def test_sweep_interrupted_has_its_table_and_resumes(code: str, bench: Bench) ->
 
     Python that is interrupted before it has started leaves with 1.
     """
-    bench.tell(awaited="nothing", interrupted=code)
+    bench.write(awaited="nothing", interrupted=code)
 
     def interrupt() -> None:
         wait(bench.finished)
@@ -118,7 +118,7 @@ def test_sweep_interrupted_has_its_table_and_resumes(code: str, bench: Bench) ->
     assert not bench.processes()
     assert {c["status"] for c in cases_of(bench.out)} == {"converged", "stopped"}
     done = {p: p.stat().st_mtime_ns for p in bench.finished()}
-    bench.tell(awaited=".")
+    bench.write(awaited=".")
     run(bench)
     assert len(bench.finished()) == 8
     assert {p: p.stat().st_mtime_ns for p in done} == done
@@ -126,14 +126,14 @@ def test_sweep_interrupted_has_its_table_and_resumes(code: str, bench: Bench) ->
 
 
 def test_sweep_repeats_only_failed_or_changed_cases(bench: Bench) -> None:
-    bench.tell(broken="0.4", code="4")
+    bench.write(broken="0.4", code="4")
     with pytest.raises(ConvergenceError, match=r"4 of 8 cases failed(?s:.*)block slides away"):
         run(bench)
     assert len(bench.taken("runs")) == 4
     statuses = [c["status"] for c in cases_of(bench.out)[:3]]
     assert statuses == ["converged", "converged", "not converged"]
     changed = SWEEP.replace("[0.2, 0.4]", "[0.2, 0.4, 0.8]").replace("2 GPa", "3 GPa")
-    bench.tell(broken="", **{"sweep.yaml": changed})
+    bench.write(broken="", **{"sweep.yaml": changed})
     run(bench)
     # Of the soft block those that failed and two new ones; of the hard one all.
     runs = bench.taken("runs")
@@ -259,7 +259,7 @@ def test_sweep_resumes_after_kills(bench: Bench) -> None:
     Two kills end all processes, like a power failure. One kill ends the sweep alone, and the sweep
     waits for the remaining runs.
     """
-    bench.tell(seconds="0.3")
+    bench.write(seconds="0.3")
 
     def marks() -> dict[Path, int]:
         return {p: p.stat().st_mtime_ns for p in bench.finished()}

@@ -65,7 +65,7 @@ def test_case_defaults_are_filled_in(two_blocks: str) -> None:
     case = support.case(two_blocks)
     assert case.interfaces == {"lower_upper": Bonded()}
     assert [stage.name for stage in case.stages] == ["load"]
-    assert case.mesh.far == 8.0
+    assert case.mesh.far_size_or_default == 8.0
     assert case.loads == {}
     assert case.geometry.blocks[0].size == case.geometry.blocks[1].size == (10.0, 20.0, 5.0)  # type: ignore[union-attr]
 

@@ -80,11 +80,11 @@ def test_explanations_of_a_word_begins_with_its_key_or_number(word: str) -> None
     assert max(map(len, text.splitlines())) <= 100
 
 
-@pytest.mark.parametrize("word", explanations.WORDS)
+@pytest.mark.parametrize("word", explanations.TARGETS_OF_TERMS)
 def test_explanations_of_every_listed_word_finds_all_its_targets(word: str) -> None:
     options = options_of_commands()
     text = explanations.explained(word, options)
-    for target in explanations.WORDS[word]:
+    for target in explanations.TARGETS_OF_TERMS[word]:
         kind = target.partition(": ")[2]
         first = f"of kind {kind}" if kind else explanations.explained(target, options)
         assert first.splitlines()[0] in text

@@ -184,7 +184,7 @@ def test_variations_companions_share_their_mesh() -> None:
     for override in (f"{MU}=0.4", f"{MU}=0.3"):
         runs.run(changed(override))
         coarse = changed(override, "mesh.size=6 mm", "mesh.far_size=6 mm")
-        numbers = runs.last.relative(coarse)
+        numbers = runs.last.numbers_of_companion(coarse)
         assert len(runs.last._other_models) == 2
         alone = Runs()
         expected = alone.run(coarse)[2]["interfaces"]["stem_cement"]["slip_p99"]

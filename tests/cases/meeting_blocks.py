@@ -49,7 +49,7 @@ THREE_UNDER_ONE = {
 
 def pairs(data: MeshData) -> list[tuple[str, str]]:
     """Regions that share facets."""
-    cell, _, behind = data.between
+    cell, _, behind = data.facets_between_regions
     names = {tag: name for name, tag in data.regions.items()}
     both = np.sort(np.column_stack([data.cell_tags[cell], data.cell_tags[behind]]), axis=1)
     return [(names[a], names[b]) for a, b in np.unique(both, axis=0).tolist()]

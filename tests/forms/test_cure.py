@@ -35,7 +35,7 @@ from app.numerics.integrator import (
     Method,
     State,
     first_step,
-    start_slope,
+    start_rate,
     step,
 )
 from app.numerics.pointwise import Pointwise
@@ -292,7 +292,7 @@ def point(
 def integrate(p: Point, end: float, method: str = "sdirk4", tolerance: float = TOLERANCE) -> Run:
     """Steps have the lengths that a run would choose."""
     table, y, seconds, rejected = METHODS[method], p.start, 0.0, 0
-    slope = start_slope(y, 0.0, 1e-6 * end, p.solve)
+    slope = start_rate(y, 0.0, 1e-6 * end, p.solve)
     assert slope is not None
 
     def norm(errors: State) -> float:
@@ -310,7 +310,7 @@ def integrate(p: Point, end: float, method: str = "sdirk4", tolerance: float = T
             control.failed(dt)
             rejected += 1
         elif control.accepts(dt, norm(done.error)):
-            y, slope, seconds = done.state, done.slope, seconds + dt
+            y, slope, seconds = done.state, done.rate, seconds + dt
             rows.append((seconds, y[0][0], y[1][0], slope[1][0]))
         else:
             rejected += 1
@@ -427,7 +427,7 @@ def test_cure_prescribed_rate_that_jumps_in_equal_steps(
     for k in range(-2, 7):
         done = step(method, y, slope, dt, seconds, p.solve)
         assert done is not None
-        y, slope, seconds = done.state, done.slope, seconds + dt
+        y, slope, seconds = done.state, done.rate, seconds + dt
         passed = np.clip((k + 1) / 5, 0, 1)
         assert y[1][0] == pytest.approx(1e-3 + 0.999 * passed, abs=1e-12)
         assert y[0][0] == pytest.approx(310.15 + RISE * 0.999 * passed, abs=1e-9)

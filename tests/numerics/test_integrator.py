@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from app.campaigns.work_precision import fitted_order
 from app.foundation.arrays import Floats
 from app.numerics import integrator
-from app.numerics.integrator import METHODS, Controller, Method, State, start_slope, step
+from app.numerics.integrator import METHODS, Controller, Method, State, start_rate, step
 
 SDIRK4 = METHODS["sdirk4"]
 BOTH = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
@@ -25,8 +25,8 @@ def test_integrator_methods_are_l_stable(method: Method) -> None:
     size = len(method.a)
 
     def growth(z: complex) -> float:
-        slopes = np.linalg.solve(np.eye(size) - z * method.a, np.ones(size))
-        return abs(1 + z * method.a[-1] @ slopes)
+        rates = np.linalg.solve(np.eye(size) - z * method.a, np.ones(size))
+        return abs(1 + z * method.a[-1] @ rates)
 
     assert METHODS.keys() == {"sdirk4", "backward_euler"}
     assert np.allclose(np.diag(method.a), method.a[0, 0])
@@ -46,7 +46,7 @@ def exact(t: float) -> Floats:
     return np.array([math.exp(math.sin(t)), 1 / (1 + t / 2)])
 
 
-def slope_at(t: float) -> State:
+def rate_at(t: float) -> State:
     y = exact(t)
     return [np.array([math.cos(t) * y[0]]), np.array([-(y[1] ** 2) / 2])]
 
@@ -55,27 +55,27 @@ def slope_at(t: float) -> State:
 def test_integrator_error_falls_with_the_order(method: Method) -> None:
     steps, errors = [], []
     for n in (10, 20, 40, 80):
-        dt, slope = 2 / n, slope_at(0.0)
+        dt, rate = 2 / n, rate_at(0.0)
         y = [np.array([v]) for v in exact(0.0)]
         for k in range(n):
-            done = step(method, y, slope, dt, k * dt, rotating)
+            done = step(method, y, rate, dt, k * dt, rotating)
             assert done is not None
-            y, slope = done.state, done.slope
+            y, rate = done.state, done.rate
         steps.append(dt)
         errors.append(float(np.abs(np.concatenate(y) - exact(2.0)).max()))
     assert fitted_order(steps, errors) == pytest.approx(method.order, abs=0.25)
-    # The slope at the end is that of the equations there.
-    assert np.concatenate(slope) == pytest.approx(np.concatenate(slope_at(2.0)), abs=2 * errors[-1])
+    # The rate at the end is that of the equations there.
+    assert np.concatenate(rate) == pytest.approx(np.concatenate(rate_at(2.0)), abs=2 * errors[-1])
 
 
 @BOTH
 def test_integrator_estimate_bounds_step_error_with_its_order(method: Method) -> None:
     steps, true, estimated = [], [], []
     for dt in (0.2, 0.1, 0.05):
-        slope, y = slope_at(1.0 - dt), [np.array([v]) for v in exact(1.0)]
+        rate, y = rate_at(1.0 - dt), [np.array([v]) for v in exact(1.0)]
         if len(method.embedded):
-            slope = slope_at(1.0)
-        done = step(method, y, slope, dt, 1.0, rotating)
+            rate = rate_at(1.0)
+        done = step(method, y, rate, dt, 1.0, rotating)
         assert done is not None
         steps.append(dt)
         true.append(np.abs(np.concatenate(done.state) - exact(1.0 + dt)).max())
@@ -84,24 +84,24 @@ def test_integrator_estimate_bounds_step_error_with_its_order(method: Method) ->
     assert all(t < 1.5 * e for t, e in zip(true, estimated, strict=True))
 
 
-def test_integrator_start_slope_and_first_step() -> None:
+def test_integrator_start_rate_and_first_step() -> None:
     y = [np.array([v]) for v in exact(0.3)]
-    slope = start_slope(y, 0.3, 1e-6, rotating)
-    assert slope is not None
-    assert np.concatenate(slope) == pytest.approx(np.concatenate(slope_at(0.3)), rel=1e-5)
+    rate = start_rate(y, 0.3, 1e-6, rotating)
+    assert rate is not None
+    assert np.concatenate(rate) == pytest.approx(np.concatenate(rate_at(0.3)), rel=1e-5)
 
     def norm(state: State) -> float:
         return float(np.abs(np.concatenate(state)).max()) / 1e-3
 
-    dt = integrator.first_step(slope, norm, 100.0)
-    assert norm([dt * k for k in slope]) == pytest.approx(100)
+    dt = integrator.first_step(rate, norm, 100.0)
+    assert norm([dt * k for k in rate]) == pytest.approx(100)
     assert integrator.first_step([np.zeros(2)], norm, 7.0) == 7.0
 
 
 @BOTH
 def test_integrator_failed_stage_fails_the_step(method: Method) -> None:
     assert step(method, [np.ones(1)], [np.zeros(1)], 1.0, 0.0, lambda *_: None) is None
-    assert start_slope([np.ones(1)], 0.0, 1e-3, lambda *_: None) is None
+    assert start_rate([np.ones(1)], 0.0, 1e-3, lambda *_: None) is None
 
 
 def test_integrator_state_parts_are_neither_missing_nor_shared() -> None:

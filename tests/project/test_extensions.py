@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import json
 import re
 import shutil
 import subprocess
@@ -15,7 +17,7 @@ from tests import support
 from tests.project.sources import ROOT
 
 CORE = ("app", "forms", "meshes", "configs")
-# Extensions, with a key that each of them adds.
+# Extensions with keys, and a key that each of them adds. (`press_fit` adds no key.)
 KEYS = {
     "bearing": "interfaces.bone_cement.wear_coefficient=1e-6 mm^3/(N m)",
     "fatigue": "fatigue.region=bone",
@@ -41,7 +43,7 @@ def without(extension: str, copy: Path) -> Path:
     registration = copy / "app" / "extensions.py"
     text = registration.read_text(encoding="utf-8")
     text, names = re.subn(rf"\b{extension}, |, {extension}\b", "", text)
-    assert names == 2
+    assert names == 1
     registration.write_text(text, encoding="utf-8")
     return copy
 
@@ -66,6 +68,28 @@ def test_extensions_core_runs_without_one(extension: str, tmp_path: Path) -> Non
     done = run(program, case, *COARSE)
     assert done.returncode == 0, done.stderr
     assert "converged" in done.stdout
+
+
+def test_extensions_all_packages_are_removed_in_turn() -> None:
+    text = (ROOT / "app" / "extensions.py").read_text(encoding="utf-8")
+    imported = next(n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.ImportFrom))
+    assert {alias.name for alias in imported.names} == {*KEYS, "press_fit"}
+
+
+def test_extensions_core_presses_without_press_fits(tmp_path: Path) -> None:
+    """The interference is solved. There are no numbers of the insertion."""
+    program = without("press_fit", tmp_path / "program")
+    case = program / "configs" / "blocks.yaml"
+    pressed = "interfaces.bone_cement.interference=10 um"
+    stages = "stages=[{name: insertion}, {name: load}]", "loads.press.history=[0, 1]"
+    done = run(program, case, *COARSE, pressed, *stages)
+    assert done.returncode == 0, done.stderr
+    assert "converged" in done.stdout
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    numbers = summary["interfaces"]["bone_cement"]
+    assert "micromotion_p99" in numbers
+    assert not [key for section in (numbers, *summary["regions"].values()) for key in section
+                if key.startswith("insertion_")]  # fmt: skip
 
 
 def test_extensions_core_names_no_section_of_one() -> None:

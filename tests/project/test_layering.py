@@ -181,6 +181,21 @@ def test_layering_public_functions_have_unique_names() -> None:
     assert ACTIONS <= twice.keys()
 
 
+def test_layering_constants_say_what_they_bound() -> None:
+    """A constant of one word, such as ``MOST``, is defined in at most three modules."""
+    places = defaultdict(list)
+    for path in sources(*LAYERS):
+        for node in tree(path).body:
+            if not isinstance(node, ast.Assign | ast.AnnAssign):
+                continue
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            is_type = isinstance(node.value, ast.Call) and ast.unparse(node.value.func) == "TypeVar"
+            for name in ast.walk(ast.Tuple(elts=targets)):
+                if isinstance(name, ast.Name) and re.fullmatch("[A-Z]+", name.id) and not is_type:
+                    places[name.id].append(named(path))
+    assert {name: where for name, where in places.items() if len(set(where)) > 3} == {}
+
+
 def test_layering_packages_are_installed_with_a_docstring() -> None:
     """The docstring is short; pyproject.toml lists the package."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from app.case import library
-from app.case.credibility import FACTORS
+from app.case.credibility import CREDIBILITY_FACTORS
 from app.foundation.errors import InputError
 from app.report import evidence
 from app.results.reading import Run
@@ -135,7 +135,7 @@ def test_evidence_goals_follow_the_risk_and_claims_replace_grades(
 )
 def test_evidence_goal_is_the_same_part_of_each_scale(risk: int, goals: str) -> None:
     factors = ("output_quantity", "model_form", "use_error")  # of two, three and four grades
-    assert "".join(FACTORS[key].goal(risk) for key in factors) == goals
+    assert "".join(CREDIBILITY_FACTORS[key].goal(risk) for key in factors) == goals
 
 
 def test_evidence_links_of_the_repository_exist() -> None:

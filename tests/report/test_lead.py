@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, cast
 
 import pytest
 
 from app.report import lead
+from app.report.sweep_results import Number
 
 
 @pytest.mark.parametrize(
@@ -21,7 +23,13 @@ from app.report import lead
          "99 % of the surface slips less. Open by more than 30 µm: 1,200 of 3,000 mm²."),
         ({"slip_p99": 1e-6}, "0", "", ""),
         ({"slip_p99": 0.1, "gap_p99": 0.2, "open_fraction": 1.0}, "200.0", "",
-         "99 % of the surface is closer. The sides touch nowhere."),
+         "The gap is smaller than this on 99 % of the surface. The sides touch nowhere."),
+        ({"slip_p99": 0.002, "area_gap_over_30um": 0.4, "area": 3000}, "2.0", "",
+         "99 % of the surface slips less. It stays closed."),
+        ({"slip_p99": 0.002, "area_gap_over_30um": 0.6, "area": 3000}, "2.0", "",
+         "99 % of the surface slips less. Open by more than 30 µm: 1 of 3,000 mm²."),
+        ({"slip_p99": 0.00006}, "0.1", "", "99 % of the surface slips less. It stays closed."),
+        ({"slip_p99": 0.00004}, "0", "", ""),
     ],
 )  # fmt: skip
 def test_lead_has_slip_and_opening(
@@ -47,3 +55,41 @@ def test_lead_takes_a_number_of_each_group() -> None:
     numbers["thermal"] = {"regions": {"rod": {"temperature_max": 60.0}}}
     captions = [number.caption for number in lead.large_numbers(numbers)]
     assert captions == [both[0], "subsidence of the stem", "highest temperature of rod"]
+
+
+@pytest.mark.parametrize(("volume", "detail"), [(0.4, "No bone dies by any rule."), (0.6, "1 mm³")])
+def test_lead_names_dead_bone_from_half_a_cubic_millimetre(volume: float, detail: str) -> None:
+    bone: dict[str, Any] = {"temperature_max": 48.0}
+    bone |= {f"seconds_over_{level}": 0.0 for level in (47, 50, 56)}
+    bone |= {f"necrosis_{rule}_volume": volume for rule in lead.NECROSIS}
+    numbers: dict[str, Any] = {"interfaces": {}, "thermal": {"regions": {"bone": bone}}}
+    *_, dead_bone = lead.large_numbers(numbers)
+    assert dead_bone.caption == "dead bone" and detail in dead_bone.detail
+
+
+@dataclass(frozen=True)
+class Case:
+    """A case of a sweep with one number in its printed unit."""
+
+    name: str
+    value: float
+
+    def number(self, _: str) -> Number:
+        return Number(self.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "expected"),
+    [
+        ("stem_cement.slip_p99", (0.04, 3.0), ["0 to 3"]),
+        ("stem_cement.slip_p99", (0.01, 0.04), []),
+        ("thermal.regions.bone.temperature_max", (41.0, 48.5), ["41 to 48.5"]),
+        ("stem_cement.slip_max", (1.0, 3.0), []),
+    ],
+)
+def test_lead_ranges_have_thresholds_by_quantity(
+    name: str, values: tuple[float, float], expected: list[str]
+) -> None:
+    cases = [Case(f"case_{k}", value) for k, value in enumerate(values)]
+    numbers = lead.ranges_over_runs(cast(Any, cases), [name])
+    assert [number.value for number in numbers] == expected

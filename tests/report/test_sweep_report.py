@@ -108,7 +108,7 @@ def test_sweep_report_curves_over_varying_keys(maker: Maker) -> None:
         ("interfaces.a_b.gap", [0.2, 1], "gap, a b (mm): 0.2, 1", [0.2, 1]),
         ("interfaces.a_b.gap", ["0.02 * z", "1 mm"], "gap, a b: 0.02 * z, 1 mm", [None, 1]),
         ("mesh.curved", [True, False], "mesh curved: True, False", [None, None]),
-        ("a.b", [{"kind": "c", "m": m} for m in (1, 2)], "a b: 2 of c", [None, None]),
+        ("a.b", [{"kind": "c", "m": m} for m in (1, 2)], "a b: 2 values of c", [None, None]),
     ],
 )
 def test_sweep_report_levels_have_one_unit(

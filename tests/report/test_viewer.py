@@ -29,7 +29,7 @@ def run(stems: tuple[Run, Run]) -> Run:
 
 def unpacked(data: bytes, at: int, n: int) -> Floats:
     """Numbers of the page, as fractions of their range."""
-    return np.frombuffer(data, "<u2", n, at).astype(np.float64) / viewer.LEVELS
+    return np.frombuffer(data, "<u2", n, at).astype(np.float64) / viewer.LARGEST_INTEGER
 
 
 def shown(head: dict[str, Any], data: bytes) -> Shown:
@@ -60,7 +60,10 @@ def test_viewer_values_equal_those_of_files(run: Run) -> None:
     x = x * head["points"]["width"] + head["points"]["low"]
     shown_nodes = [t.ravel() for t in viewer.outsides(run, True).values()]
     nodes = np.unique(np.concatenate([*shown_nodes, run.cells[:, :4].ravel()]))
-    assert np.abs(x - run.points[nodes]).max() <= 0.51 * head["points"]["width"] / viewer.LEVELS
+    assert (
+        np.abs(x - run.points[nodes]).max()
+        <= 0.51 * head["points"]["width"] / viewer.LARGEST_INTEGER
+    )
     for field, stage, values in shown(head, data):
         sizes = size(run, field["name"], stage)[nodes]
         known = np.isfinite(values)

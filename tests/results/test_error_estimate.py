@@ -88,7 +88,7 @@ def test_error_estimate_companions_are_coarser(
     assert [
         (c.case.mesh.size, c.case.stages[0].increments, c.steps) for c in companions
     ] == expected
-    assert all(c.case.mesh.far == 4 * c.case.mesh.size for c in companions)
+    assert all(c.case.mesh.far_size_or_default == 4 * c.case.mesh.size for c in companions)
 
 
 def test_error_estimate_with_fewer_companions() -> None:
@@ -126,10 +126,10 @@ def test_error_estimate_is_exact_for_its_model(increments: int) -> None:
     unsettled = modelled(run, this, lambda size, n: numbers(size, n, p))
     q = run["interfaces"]["lower_upper"]
     # The difference from 2 h, and the steps; a single number changes as the median of all.
-    a, _ = error_estimate.FACTORS[quantities.ORDER_OF_MOTION][1]
+    a, _ = error_estimate.ERROR_FACTORS[quantities.ORDER_OF_MOTION][1]
     by_mesh, by_step = 0.01 * (2**p - 1), 0.02 / increments
     error = a * by_mesh + by_step
-    a, b = error_estimate.FACTORS[quantities.ORDER_OF_SLIP][1]
+    a, b = error_estimate.ERROR_FACTORS[quantities.ORDER_OF_SLIP][1]
     assert q["slip_p99_error"] == pytest.approx(b / a * (a * by_mesh + by_step))
     assert q["force_error"] == pytest.approx([error, 2 * error, 0])
     # The peak changes by 0.2 of 1.2, the gap by far less than any slip.
@@ -205,9 +205,9 @@ def test_error_estimate_raises_accidentally_small_errors() -> None:
     other = {"slip_p99": 2.2, "slip_p95": 1.1, "slip_mean": 0.55, "gap_p99": 4.0}
     run: dict[str, Any] = {"interfaces": {"lower_upper": values}}
     compared(run, this, {"interfaces": {"lower_upper": other}})
-    factor, least = error_estimate.FACTORS[quantities.ORDER_OF_SLIP][1]
+    factor, least = error_estimate.ERROR_FACTORS[quantities.ORDER_OF_SLIP][1]
     assert values["slip_p99_error"] == pytest.approx(max(0.2 * factor, 2.0 * 0.1 * least))
-    _, least = error_estimate.FACTORS[quantities.ORDER_OF_MOTION][1]
+    _, least = error_estimate.ERROR_FACTORS[quantities.ORDER_OF_MOTION][1]
     assert values["gap_p99_error"] == pytest.approx(4.0 * 0.1 * least)
 
 
@@ -251,7 +251,7 @@ def test_error_estimate_raises_strains_of_the_cortex() -> None:
 
     run = on(1.0, 1e-3)
     compared(run, this, on(1.2, 1.5e-3))
-    a, b = error_estimate.FACTORS[quantities.ORDER_OF_STRESS][1]
+    a, b = error_estimate.ERROR_FACTORS[quantities.ORDER_OF_STRESS][1]
     assert run["femur"]["strain_medial_10_error"] == pytest.approx(1e-3 * 0.2 * b)
     assert run["femur"]["strain_lateral_10_error"] == pytest.approx(0.5e-3 * a)
 
@@ -275,14 +275,14 @@ def test_error_estimate_of_gruen_zones() -> None:
     # All change by a tenth, so that this is their median.
     a, b = (
         table[quantities.ORDER_OF_MOTION][1]
-        for table in (error_estimate.FACTORS, error_estimate.FACTOR_OF_PARTS)
+        for table in (error_estimate.ERROR_FACTORS, error_estimate.FACTOR_OF_PARTS)
     )
     assert first["interfaces"]["a_b"] == pytest.approx(
         {"gap_mean": 2, "gap_max": 3, "area": 5} | {"gap_mean_error": 0.2 * max(a[0], b)}
     )
     a, b = (
         table[quantities.ORDER_OF_STRESS][1]
-        for table in (error_estimate.FACTORS, error_estimate.FACTOR_OF_PARTS)
+        for table in (error_estimate.ERROR_FACTORS, error_estimate.FACTOR_OF_PARTS)
     )
     errors = first["strain_energy_density_error"]
     assert errors == pytest.approx({"cortex": 0.4 * max(a[0], b)})
@@ -344,8 +344,8 @@ def test_error_estimate_of_heat_follows_temperature() -> None:
     wrong, dose = (
         0.01 * (2**1.5 - 1) * factor + 0.02 / 8
         for factor in (
-            max(error_estimate.TWO_MESHES[quantities.ORDER_OF_HEAT]),
-            error_estimate.FACTORS[quantities.ORDER_OF_DOSE][1][0],
+            max(error_estimate.FACTORS_OF_TWO_MESHES[quantities.ORDER_OF_HEAT]),
+            error_estimate.ERROR_FACTORS[quantities.ORDER_OF_DOSE][1][0],
         )
     )
     lower = run["thermal"]["regions"]["lower"]
@@ -373,13 +373,13 @@ def test_error_estimate_of_heat_sees_two_meshes_that_agree_by_chance() -> None:
 
     run = hottest(1.0, 8)
     modelled(run, case("stages.0.increments=8"), hottest)
-    factor = error_estimate.TWO_MESHES[quantities.ORDER_OF_HEAT][1]
+    factor = error_estimate.FACTORS_OF_TWO_MESHES[quantities.ORDER_OF_HEAT][1]
     expected = factor * 2.0 * (2**1.5 - 1) / (3**1.5 - 1)
     assert run["thermal"]["regions"]["lower"]["temperature_max_error"] == pytest.approx(expected)
     steady = support.case(HEAT, "stages=[{name: cool, steady: true}]")
     run, coarser = ({"thermal": {"regions": {"lower": {"temperature_max": t}}}} for t in (60, 59))
     compared(run, steady, coarser)
-    alone, _ = error_estimate.FACTORS[quantities.ORDER_OF_HEAT][1]
+    alone, _ = error_estimate.ERROR_FACTORS[quantities.ORDER_OF_HEAT][1]
     assert run["thermal"]["regions"]["lower"]["temperature_max_error"] == pytest.approx(alone)
 
 
@@ -444,7 +444,7 @@ def test_error_estimate_ignores_zero_numbers() -> None:
     run = on(1.0)
     assert compared(run, this, on(2.0)) == {}
     q = run["interfaces"]["lower_upper"]
-    _, b = error_estimate.FACTORS[quantities.ORDER_OF_TRACTION][1]
+    _, b = error_estimate.ERROR_FACTORS[quantities.ORDER_OF_TRACTION][1]
     assert q["pressure_p95_error"] == pytest.approx(b * 2e-3, rel=0.01)
     assert q["motion_p99_error"] < 2e-3 * q["motion_p99"]
     # A change of the other kind counts: a slip as large as the motion.
@@ -462,7 +462,7 @@ def test_error_estimate_ignores_zero_temperature_jumps(jump: float) -> None:
         region = {"temperature_max": 50 - 0.01 * size, "temperature_mean": 40 + 0.01 * size}
         return {"thermal": {"regions": {"lower": region}, "interfaces": {"a_b": sides}}}
 
-    run, (a, _) = on(1.0), error_estimate.FACTORS[quantities.ORDER_OF_HEAT][1]
+    run, (a, _) = on(1.0), error_estimate.ERROR_FACTORS[quantities.ORDER_OF_HEAT][1]
     compared(run, this, on(2.0))
     sides = run["thermal"]["interfaces"]["a_b"]
     assert sides["temperature_max_first_error"] == pytest.approx(0.01 * a)

@@ -333,7 +333,7 @@ def test_surface_parts_neck_is_separate_from_the_stem(
     stresses = Stresses(pressed.problem, depth=lambda x: 1.0 - x[:, 2])
     z = stresses.points_and_volumes("stem")[0][:, 2]
     monkeypatch.setattr(stresses, "evaluate", lambda _: np.multiply.outer(z, np.diag([0, 0, 1.0])))
-    stem = stresses.region("stem")
+    stem = stresses.numbers_of_region("stem")
     assert (
         0.5 < stem["von_mises_p99"] <= stem["von_mises_max"] < 1.0 < stem["neck"]["principal_max"]
     )
@@ -341,4 +341,4 @@ def test_surface_parts_neck_is_separate_from_the_stem(
     assert stem["neck"]["von_mises_max"] == pytest.approx(z.max())
     assert stem["neck"]["von_mises_max_at"][2] == pytest.approx(z.max())
     without = Stresses(pressed.problem)
-    assert "neck" not in without.region("stem")
+    assert "neck" not in without.numbers_of_region("stem")

@@ -63,7 +63,7 @@ def test_coarse_start_changes_iterations_but_not_results(
     not be coarser.
     """
     if AT_FIRST[0] in overrides:
-        monkeypatch.setattr(models, "COARSER", 1e3)
+        monkeypatch.setattr(models, "COARSENING_OF_START", 1e3)
     cold, first = go(*overrides)
     always(monkeypatch)
     warm, then = go(*overrides)
@@ -89,12 +89,12 @@ def test_coarse_start_is_reused_by_the_companion(monkeypatch: pytest.MonkeyPatch
         return outcome
 
     monkeypatch.setattr(load_steps, "solve", noted)
-    relative = model.relative(companion)
+    relative = model.numbers_of_companion(companion)
     assert len(solves) == 1 and solves[0].residuals[0] < 1e-2
     assert solves[0].residuals[-1] < companion.solver.tolerance
     monkeypatch.undo()
     alone = Model(companion, MPI.COMM_WORLD, {}, Timing(), str)
-    expected = alone.relative(companion)["interfaces"]["stem_cement"]
+    expected = alone.numbers_of_companion(companion)["interfaces"]["stem_cement"]
     for name, number in relative["interfaces"]["stem_cement"].items():
         if isinstance(number, float) and not name.startswith("penetration"):
             assert number == pytest.approx(expected[name], rel=1e-6, abs=1e-9), name
@@ -130,7 +130,9 @@ def test_coarse_start_coarse_cases(
     other = models.coarse_case(case, unknowns)
     assert (other and (other.mesh.size, other.mesh.order)) == expected
     if other is not None:
-        assert other.mesh.far / other.mesh.size == pytest.approx(case.mesh.far / case.mesh.size)
+        assert other.mesh.far_size_or_default / other.mesh.size == pytest.approx(
+            case.mesh.far_size_or_default / case.mesh.size
+        )
         assert other.geometry == case.geometry and other.solver.tolerance == models.TOLERANCE
 
 

@@ -47,6 +47,6 @@ def test_identity_includes_the_kernel_of_the_blas() -> None:
 
 def test_identity_includes_sources_that_change_numbers() -> None:
     """Sources that only plan runs or report them are left out."""
-    assert not identity.OUTSIDE.fullmatch("app/numerics/newton.py")
-    assert not identity.OUTSIDE.fullmatch("app/system/identity.py")
-    assert identity.OUTSIDE.fullmatch("app/verification/problems/test_heat.py")
+    assert not identity.WITHOUT_INFLUENCE.fullmatch("app/numerics/newton.py")
+    assert not identity.WITHOUT_INFLUENCE.fullmatch("app/system/identity.py")
+    assert identity.WITHOUT_INFLUENCE.fullmatch("app/verification/problems/test_heat.py")

@@ -16,7 +16,7 @@ from app.foundation.errors import InputError
 from app.laws.interface_laws import Frictional
 from app.validation import campaign, records
 from app.validation.catalogue import EXPERIMENTS
-from app.validation.experiment import COARSER, NOMINAL, SAMPLES, Place, place_of_run
+from app.validation.experiment import COARSER_POINTS, NOMINAL, SAMPLES, Place, place_of_run
 from tests.validation.predictions import measured, prediction
 
 PUSH_OUT = EXPERIMENTS["push_out"]
@@ -28,7 +28,7 @@ def pushed(planned: PlannedRun, folder: Path, exit_code: int = 0) -> Result:
     law = planned.case.interfaces["stem_cement"]
     assert isinstance(law, Frictional)
     strength = float(law.friction_coefficient)
-    if place_of_run(planned.name).part == COARSER:
+    if place_of_run(planned.name).part == COARSER_POINTS:
         strength *= 1.01
     folder.mkdir()
     numbers = {"stem_cement": {"force": [0, 0, -2 * strength], "area": 2}}
@@ -40,10 +40,10 @@ def pushed(planned: PlannedRun, folder: Path, exit_code: int = 0) -> Result:
 def test_campaign_every_part_of_an_experiment_has_the_same_conditions(name: str) -> None:
     places = [place_of_run(point.name) for point in EXPERIMENTS[name].content.points()]
     conditions = {at.condition for at in places if at.part == NOMINAL}
-    assert {at.part for at in places} == {NOMINAL, COARSER, SAMPLES}
+    assert {at.part for at in places} == {NOMINAL, COARSER_POINTS, SAMPLES}
     for number in {at.sample for at in places if at.part == SAMPLES}:
         assert {at.condition for at in places if at.sample == number and number} == conditions
-    assert {at.condition for at in places if at.part == COARSER} == conditions
+    assert {at.condition for at in places if at.part == COARSER_POINTS} == conditions
     designs = EXPERIMENTS[name].designs
     assert len({(d.seed, d.samples, len(d.inputs)) for d in designs}) == 1
 
@@ -82,7 +82,8 @@ def test_campaign_leaves_failed_samples_out(tmp_path: Path) -> None:
     few = [
         result
         for result in results
-        if place_of_run(result.planned.name).sample not in range(1, 12 - campaign.FEWEST + 3)
+        if place_of_run(result.planned.name).sample
+        not in range(1, 12 - campaign.FEWEST_SAMPLES + 3)
     ]
     with pytest.raises(InputError, match="samples are complete; a prediction needs 8"):
         campaign.predict(PUSH_OUT, few)

@@ -11,7 +11,7 @@ import configs
 from app import cli
 from app.foundation.errors import InputError
 from app.validation import records
-from app.validation.campaign import FEWEST
+from app.validation.campaign import FEWEST_SAMPLES
 from app.validation.catalogue import EXPERIMENTS
 from app.validation.records import MeasuredQuantity
 from tests.validation.predictions import prediction, record
@@ -40,7 +40,7 @@ def test_records_predict_every_quantity_from_the_present_inputs(name: str) -> No
     for key, quantity in experiment.quantities.items():
         predicted = committed.quantities[key]
         assert (predicted.text, predicted.unit) == (quantity.text, quantity.unit)
-        assert len(predicted.samples) >= FEWEST
+        assert len(predicted.samples) >= FEWEST_SAMPLES
         assert predicted.failure
         low, high = predicted.band
         assert min(predicted.samples) <= low <= high <= max(predicted.samples)

@@ -42,7 +42,7 @@ def test_curved_interfaces_shrink_fit_is_uniform(size: float, off: float, scatte
     assert np.abs(s.pressure / exact - 1).max() < scatter
     assert result.interfaces["stem_cement"]["area"] == pytest.approx(7 * np.pi / 2, rel=1e-5)
     # What weighs the stresses are the volumes of curved cells.
-    volume = Stresses(result.problem).region("stem")["volume"]
+    volume = Stresses(result.problem).numbers_of_region("stem")["volume"]
     assert volume == pytest.approx(49 * np.pi / 4, rel=1e-4)
     assert result.balances.max() < 1e-8
 

@@ -101,7 +101,7 @@ def test_geometry_metaphyseal_cortex_has_the_given_thickness(
     """
     data = meshes.build(kind(metaphyseal_cortex=f"{cortex} mm"), MeshOptions(size="8 mm"))
     assert quality.quality_without_length(data.points, data.cells).min() > 0.08
-    cell, face, behind = data.between
+    cell, face, behind = data.facets_between_regions
     bone = data.cell_tags == data.regions["cortical_bone"]
     at = bone[cell] & ~bone[behind]
     x, y, z = data.points[np.unique(faces_of(data.cells, cell[at], face[at])[:, :3])].T

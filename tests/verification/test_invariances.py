@@ -160,7 +160,7 @@ def changed(data: MeshData, R: Floats) -> MeshData:
         # Corners 0 and 1 change places, and with them the middles of the edges at them.
         straight, curved = [1, 0, 2, 3], [1, 0, 2, 3, 4, 6, 5, 9, 8, 7]
         cells = cells[:, straight if cells.shape[1] == 4 else curved]
-    return replace(data, points=data.points @ R.T, cells=cells, behind=None)
+    return replace(data, points=data.points @ R.T, cells=cells, given_neighbours=None)
 
 
 @pytest.mark.parametrize(

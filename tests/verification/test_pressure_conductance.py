@@ -63,7 +63,7 @@ def test_pressure_conductance_of_a_pressure_on_all_faces_of_an_edge(
     """The flux is that of a plane interface with the same pressure, also where interfaces meet."""
     text = scene(tmp_path, EDGE if layout == "edge" else CORNER, contact(0.0), cells=cells)
     press_on_all_sides(text)
-    found = flows(heated(text, "y0", "y1"), tmp_path)
+    heat_flows = flows(heated(text, "y0", "y1"), tmp_path)
     # The foot exchanges heat with the rest over the areas of its faces, and with the side.
     areas = {"foot_rest": 12.0, "foot_side": 8.0, "side_rest": 8.0}
     if layout == "corner":
@@ -74,7 +74,7 @@ def test_pressure_conductance_of_a_pressure_on_all_faces_of_an_edge(
     jumps = {"foot_rest": HOT - foot, "foot_side": foot - COLD, "side_rest": HOT - COLD}
     h = 1e-3 * (OPEN + PER_PRESSURE * PRESSURE)  # mW/(mm2 K)
     for name, area in areas.items():
-        assert found[name] == pytest.approx(h * area * jumps[name], rel=1e-4)
+        assert heat_flows[name] == pytest.approx(h * area * jumps[name], rel=1e-4)
 
 
 @pytest.mark.parametrize("pressure", [PRESSURE, -PRESSURE])
@@ -84,6 +84,6 @@ def test_pressure_conductance_of_a_bond_in_tension_is_that_without_pressure(
     blocks = {"lower": lambda x: x[:, 2] < 2, "upper": lambda x: x[:, 2] > 2}
     text = scene(tmp_path, blocks, STRONG, cells=(2, 2, 4))
     text["loads"]["press"]["pressure"] = f"{pressure} MPa"
-    (found,) = flows(heated(text, "z0", "z1"), tmp_path).values()
+    (heat_flow,) = flows(heated(text, "z0", "z1"), tmp_path).values()
     h = 1e-3 * (OPEN + PER_PRESSURE * max(pressure, 0.0))
-    assert found == pytest.approx(h * 12.0 * (HOT - COLD), rel=1e-4)
+    assert heat_flow == pytest.approx(h * 12.0 * (HOT - COLD), rel=1e-4)

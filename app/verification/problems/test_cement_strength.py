@@ -22,7 +22,7 @@ SURFACE = 3.75
 VOLUME = 640.0  # mm3
 PULL = "loads.up={kind: pressure, boundary: x_max, pressure: -3.75 MPa}"
 SHEAR = "loads.up={kind: force, boundary: x_max, force: [0 N, 0 N, -0.125 N]}"
-LONG = "geometry.blocks=[{name: bar, size: [80 mm, 1 mm, 4 mm]}]"
+LONG_BAR = "geometry.blocks=[{name: bar, size: [80 mm, 1 mm, 4 mm]}]"
 ALONE = "loads.down=null"
 
 
@@ -66,7 +66,7 @@ def test_weibull_threshold(problem: KnownProblem, m: float) -> None:
 @pytest.mark.parametrize("m", SHAPES)
 def test_weibull_three_points(problem: KnownProblem, m: float) -> None:
     exact = 320 * SURFACE**m / 2 / (m + 1) ** 2
-    compare_risk(problem, m, exact, 0.01, ALONE, SHEAR, LONG)
+    compare_risk(problem, m, exact, 0.01, ALONE, SHEAR, LONG_BAR)
 
 
 @verify

@@ -23,7 +23,7 @@ from app.verification.problem import (
     verify,
 )
 
-BAR = "verification/cohesive_bar.yaml"
+COHESIVE_BAR = "verification/cohesive_bar.yaml"
 BEAMS = "verification/cohesive_beams.yaml"
 SOFTENING = "linear softening: traction on the ellipse of strengths, shrunk by the energy used"
 
@@ -95,7 +95,7 @@ def test_cohesive_bar(problem: KnownProblem) -> None:
         tolerance=1e-6,
         source=SOFTENING,
     )
-    problem.compare(softening_error(problem.solve(BAR)))
+    problem.compare(softening_error(problem.solve(COHESIVE_BAR)))
 
 
 @verify
@@ -108,7 +108,7 @@ def test_cohesive_mixtures(problem: KnownProblem) -> None:
     angles = np.linspace(0, math.pi / 2, 5)
     smooth = (*STIFF, *SHORT, "interfaces.lower_upper.friction_coefficient=0")
     pulls = [pull(0.4 * math.sin(a), 0.4 * math.cos(a)) for a in angles]
-    runs = problem.solve_each(BAR, [(*smooth, one) for one in pulls])
+    runs = problem.solve_each(COHESIVE_BAR, [(*smooth, one) for one in pulls])
     mixtures = [math.sin(a) ** 2 for a in angles]
     problem.compare(*(softening_error(r, mixture=m) for r, m in zip(runs, mixtures, strict=True)))
 
@@ -126,7 +126,7 @@ def test_cohesive_unloading(problem: KnownProblem) -> None:
         source="linear softening, and unloading to the origin",
     )
     stages = "stages=[{name: pull}, {name: back, increments: 2}]"
-    solved = problem.solve(BAR, *STIFF, *SHORT, pull(0, 0.005, "[1, 0]"), stages)
+    solved = problem.solve(COHESIVE_BAR, *STIFF, *SHORT, pull(0, 0.005, "[1, 0]"), stages)
     times = solved.step_record["time [-]"]
     traction = -column(solved, "pressure_p95 [MPa]")
     loaded, half_unloaded, unloaded = (
@@ -147,7 +147,7 @@ def test_cohesive_pressed(problem: KnownProblem) -> None:
         tolerance=1e-9,
         source="springs in series",
     )
-    solved = problem.solve(BAR, *SHORT, pull(0, -0.4))
+    solved = problem.solve(COHESIVE_BAR, *SHORT, pull(0, -0.4))
     problem.compare(
         summary_number(solved, "lower_upper.pressure_mean", 0.4 / (1 / STIFFNESS + 4 / 2000))
     )
@@ -160,7 +160,7 @@ def test_cohesive_friction(problem: KnownProblem) -> None:
     )
     stages = "stages=[{name: pull, fracture_step: 0.1 N mm}, {name: press}, {name: slide}]"
     solved = problem.solve(
-        BAR,
+        COHESIVE_BAR,
         *SHORT,
         support("slide", "x: 0.1", "[0, 0, 1]"),
         support("pull", "y: 0 mm, z: -0.01", "[-4, 1, 1]"),
@@ -258,7 +258,7 @@ def compare_bar(
     stiffness = above * least
     end = 1.5 * max(SOFTNESS * strength + 1 / stiffness * strength, 2 * energy / strength)
     solved = problem.solve(
-        BAR,
+        COHESIVE_BAR,
         f"interfaces.lower_upper.stiffness={stiffness!r} MPa/mm",
         f"interfaces.lower_upper.tensile_strength={strength!r} MPa",
         f"interfaces.lower_upper.shear_strength={1.5 * strength!r} MPa",

@@ -10,7 +10,7 @@ SHIFT = 0.05  # mm, of the stem along its axis
 # Stiffness of the layers under the collar, and on the flanks against shear [MPa/mm].
 UNDER = 40.0
 BESIDE = 20.0
-BONE = ("cortical_bone", "cancellous_bone")
+BONE_REGIONS = ("cortical_bone", "cancellous_bone")
 
 
 @verify

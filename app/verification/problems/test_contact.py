@@ -37,7 +37,7 @@ HERTZ = {
     "ball": exact.hertz_point(100.0, 10.0, exact.contact_modulus(CEMENT)),
 }
 SECTION = {"line": JOHNSON.format("4.2c"), "ball": JOHNSON.format("4.2a")}
-# Coordinates in which the contact is wide.
+# Number of coordinates in the contact plane.
 WIDE = {"line": 1, "ball": 2}
 
 
@@ -120,7 +120,7 @@ def test_klarbring(problem: KnownProblem) -> None:
 
 # A bar on a bed with friction
 
-BAR = "verification/foundation_bar.yaml"
+FOUNDATION_BAR = "verification/foundation_bar.yaml"
 BED = "friction balances the force of the bar: F^2 / (2 EA f)"
 STIFFNESS = 1.1e6  # N, of its section
 PRESS = 2.0  # MPa on the bar, 10 mm wide
@@ -143,14 +143,14 @@ def test_foundation_bar(problem: KnownProblem, number: str) -> None:
         "dissipation": "work lost in a cycle of its load [N mm], relative",
     }
     problem.expects(quantities[number], tolerance=0.02, source=BED)
-    solved = problem.solve(BAR)
-    law = exact.FoundationBar(force=500.0, friction=6.0, stiffness=STIFFNESS)
+    solved = problem.solve(FOUNDATION_BAR)
+    bar = exact.FoundationBar(force=500.0, friction=6.0, stiffness=STIFFNESS)
     if number == "end":
-        problem.compare(relative(end_of_bar(solved, 2.0), law.end))
+        problem.compare(relative(end_of_bar(solved, 2.0), bar.end))
     elif number == "residual":
-        problem.compare(relative(end_of_bar(solved, 3.0), law.residual))
+        problem.compare(relative(end_of_bar(solved, 3.0), bar.residual))
     else:
-        problem.compare(relative(float(work_lost(solved, "base_bar", (3.0, 5.0))[0]), law.cycle))
+        problem.compare(relative(float(work_lost(solved, "base_bar", (3.0, 5.0))[0]), bar.cycle))
 
 
 @stress
@@ -166,16 +166,16 @@ def test_friction_bar_on_a_bed(problem: KnownProblem, μ: float) -> None:
         "end displacement, pulled and let go [mm], relative", tolerance=MESH, source=BED
     )
     solved = problem.solve(
-        BAR,
+        FOUNDATION_BAR,
         f"interfaces.base_bar.friction_coefficient={μ}",
         f"loads.pull.force=[{1200 * μ} N, 0 N, 0 N]",
         "geometry.blocks.1.size=[110 mm, 10 mm, 0.1 mm]",
         "regions.bar.youngs_modulus=1100 GPa",
     )
-    law = exact.FoundationBar(1200 * μ, 10 * PRESS * μ, STIFFNESS)
+    bar = exact.FoundationBar(1200 * μ, 10 * PRESS * μ, STIFFNESS)
     problem.compare(
-        relative(end_of_bar(solved, 2.0), law.end),
-        relative(end_of_bar(solved, 3.0), law.residual),
+        relative(end_of_bar(solved, 2.0), bar.end),
+        relative(end_of_bar(solved, 3.0), bar.residual),
     )
 
 
@@ -188,7 +188,7 @@ def test_friction_bar_on_a_bed(problem: KnownProblem, μ: float) -> None:
 def test_friction_bar_pulled_off(problem: KnownProblem, μ: float) -> None:
     problem.expects_refusal("a pull beyond what friction can hold", Reason.FLOATING_BODY)
     problem.solve(
-        BAR,
+        FOUNDATION_BAR,
         f"interfaces.base_bar.friction_coefficient={μ}",
         f"loads.pull.force=[{1.2 * 2200 * μ or 1} N, 0 N, 0 N]",
     )
@@ -217,23 +217,23 @@ def test_cycles_bar_on_a_bed(problem: KnownProblem, count: int) -> None:
     )
     stages, history = cycles_of(count, "0")
     solved = problem.solve(
-        BAR,
+        FOUNDATION_BAR,
         f"stages=[{{name: press}}, {stages}]",
         f"loads.press.history=[1, {', '.join(['1'] * 2 * (count + 1))}]",
         f"loads.pull.history=[0, {history}]",
     )
-    law = exact.FoundationBar(500.0, 6.0, STIFFNESS)
+    bar = exact.FoundationBar(500.0, 6.0, STIFFNESS)
     unloaded = np.arange(count + 1) * 2 + 3.0
     lost_work = work_lost(solved, "base_bar", unloaded)
     end_positions = [end_of_bar(solved, time) for time in unloaded]
-    creep = float(np.abs(np.diff(end_positions)).max()) / law.end
+    drift = float(np.abs(np.diff(end_positions)).max()) / bar.end
     note = (
         f"{count} cycles, {lost_work[0]:.5g} to {lost_work[-1]:.5g} N mm each, exact"
-        f" {law.cycle:.5g}; "
-        f"the end creeps by {creep:.1e} of its stroke in a cycle"
+        f" {bar.cycle:.5g}; "
+        f"the end drifts by {drift:.1e} of its stroke in a cycle"
     )
     problem.compare(
-        Comparison(max(float(np.abs(lost_work / law.cycle - 1).max()), creep), note=note)
+        Comparison(max(float(np.abs(lost_work / bar.cycle - 1).max()), drift), note=note)
     )
 
 
@@ -244,8 +244,8 @@ SLOPE = "balance of forces on a slope: (tan a + mu) / (1 - mu tan a)"
 WEIGHT = 0.01 * 800  # N
 
 
-def push(run: Run, friction: float) -> Comparison:
-    """Horizontal force over weight."""
+def compare_push(run: Run, friction: float) -> Comparison:
+    """Compare the horizontal force over the weight with its exact value."""
     force = run.summary["interfaces"]["slope_block"]["force"][0]
     return relative(abs(force) / WEIGHT, exact.push_up(0.1, friction))
 
@@ -260,7 +260,7 @@ def test_incline(problem: KnownProblem) -> None:
     )
     law = "{kind: penalty, friction_coefficient: 0.3, penalty: 1.0e3 MPa/mm}"
     runs = problem.solve_each(INCLINE, [(), (f"interfaces.slope_block={law}",)])
-    problem.compare(*(push(solved, 0.3) for solved in runs))
+    problem.compare(*(compare_push(solved, 0.3) for solved in runs))
 
 
 @stress
@@ -270,13 +270,13 @@ def test_incline(problem: KnownProblem) -> None:
 def test_friction_incline(problem: KnownProblem, μ: float) -> None:
     problem.expects("force over weight, relative", tolerance=0.005, source=SLOPE)
     solved = problem.solve(INCLINE, f"interfaces.slope_block.friction_coefficient={μ}")
-    problem.compare(push(solved, μ))
+    problem.compare(compare_push(solved, μ))
 
 
 # A stem in its cement and bone
 
-STEM = "stress/stem.yaml"
-CRITICAL = 1.4  # friction beyond which there need not be one answer that steps lead to
+STRESS_STEM = "stress/stem.yaml"
+CRITICAL = 1.4  # critical friction: above it the solution may not be unique
 
 
 @stress
@@ -299,7 +299,7 @@ def test_friction_stem(problem: KnownProblem, μ: float) -> None:
     )
     sides = ("stem_cement", "cement_bone")
     laws = (f"interfaces.{side}.friction_coefficient={μ}" for side in sides)
-    problem.compare(law_violation(problem.solve(STEM, *laws)))
+    problem.compare(law_violation(problem.solve(STRESS_STEM, *laws)))
 
 
 # A taper of 5 degrees, held by friction from 0.0875 on
@@ -328,14 +328,15 @@ def compare_wedge(problem: KnownProblem, friction: float, left: float) -> None:
         for step in (step_at(solved, 1.0), -1)
     )
     into = abs(100 / (pushed * (s + friction * c)) - 1)
-    note = f"{100 * now / pushed:.0f} % of the pressure stays; sliding in off by {into:.1e}"
+    note = f"{100 * now / pushed:.0f} % of the pressure stays; "
+    note += f"error of the force while sliding in {into:.1e}"
     if friction <= s / c:
         error = abs(100 * left / (now * (s - friction * c)) - 1)
-        problem.compare(Comparison(max(into, error), note=f"{note}, sliding out by {error:.1e}"))
+        problem.compare(Comparison(max(into, error), note=f"{note}, while sliding out {error:.1e}"))
     elif now > 0.1 * pushed:
-        problem.compare(Comparison(law_violation(solved).error, note=f"held; {note}"))
+        problem.compare(Comparison(law_violation(solved).error, note=f"held by friction; {note}"))
     else:
-        problem.compare(Comparison(np.inf, note=f"held; {note}"))
+        problem.compare(Comparison(np.inf, note=f"held by friction; {note}"))
 
 
 WEDGE = "forces on a cone: sin a +- mu cos a"

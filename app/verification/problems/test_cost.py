@@ -8,7 +8,15 @@ import pytest
 
 from app.results.reading import Run
 from app.verification import cost_figures as figures
-from app.verification.cost_figures import FEMUR, LONG, RUNGS, STEM, STEM_RUNGS, femur_run, ratio
+from app.verification.cost_figures import (
+    BENCH_STEM,
+    FEMUR,
+    LONG_RUNG,
+    RUNGS,
+    STEM_RUNGS,
+    femur_run,
+    ratio,
+)
 from app.verification.problem import (
     Comparison,
     KnownProblem,
@@ -29,7 +37,7 @@ def goal(problem: KnownProblem, quantity: str, most: float) -> None:
 
 def rungs_of(problem: KnownProblem, rungs: Sequence[str]) -> list[str]:
     """The rungs that are solved in a tier."""
-    return [rung for rung in rungs if rung != LONG or within("long", problem.tier)]
+    return [rung for rung in rungs if rung != LONG_RUNG or within("long", problem.tier)]
 
 
 # Goals
@@ -37,7 +45,7 @@ def rungs_of(problem: KnownProblem, rungs: Sequence[str]) -> list[str]:
 STEM_GOALS: dict[str, tuple[str, Callable[[Run], float], float]] = {
     "cpu": ("CPU time [s]", figures.cpu, 5.0),
     "memory": ("peak memory [MB]", figures.megabytes, 500.0),
-    "penetration": ("penetration [mm]", figures.penetration, figures.ROUNDING),
+    "penetration": ("penetration [mm]", figures.penetration, figures.ROUNDING_OF_PENETRATION),
 }
 
 
@@ -47,7 +55,7 @@ STEM_GOALS: dict[str, tuple[str, Callable[[Run], float], float]] = {
 def test_stem(problem: KnownProblem, name: str) -> None:
     quantity, figure, limit = STEM_GOALS[name]
     goal(problem, quantity, limit)
-    runs = problem.solve_all([ProblemRun(STEM, times=figures.REPEATS)])
+    runs = problem.solve_all([ProblemRun(BENCH_STEM, times=figures.REPEATS)])
     if name == "penetration":
         problem.compare(Comparison(max(map(figure, runs))))
     else:
@@ -193,7 +201,7 @@ def test_order_2_over_1(problem: KnownProblem) -> None:
         ProblemRun(FEMUR, (f"mesh.size={h}", *figures.STANCE))
         for h in (figures.SECOND, figures.REFERENCE)
     ]
-    first_order = [femur_run("contact", rung) for rung in RUNGS if rung != LONG]
+    first_order = [femur_run("contact", rung) for rung in RUNGS if rung != LONG_RUNG]
     problem.compare(figures.equal_error(problem.solve_all([*second, *first_order])))
 
 
@@ -219,4 +227,4 @@ MILLION_GOALS: dict[str, tuple[str, Callable[[Run], float], float]] = {
 def test_million(problem: KnownProblem, name: str) -> None:
     quantity, figure, limit = MILLION_GOALS[name]
     goal(problem, quantity, limit)
-    problem.compare(figures.median_of(figure, problem.solve_all([femur_run("contact", LONG)])))
+    problem.compare(figures.median_of(figure, problem.solve_all([femur_run("contact", LONG_RUNG)])))

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from app.verification import closed_forms_long_term as exact
-from app.verification.closed_forms_long_term import CEMENT, SUBSIDENCE, E
+from app.verification.closed_forms_long_term import CEMENT_CREEP, SUBSIDENCE, E
 from app.verification.measures import summary_number
 from app.verification.problem import Comparison, KnownProblem, quick, relative, stress, verify
 
-BAR = "verification/creep_bar.yaml"
+CREEP_BAR = "verification/creep_bar.yaml"
 STRAIN = "bar.creep_strain_max"
 MISES = "bar.von_mises_max"
 CYCLES = 1e6
@@ -36,8 +36,8 @@ def test_creep_constant_stress(problem: KnownProblem) -> None:
     )
     fine = "stages.0.creep_tolerance=1e-6"
     changes_of_runs = [("stages.0.adaptive=false", "stages.0.increments=3", fine), (fine,)]
-    runs = problem.solve_each(BAR, changes_of_runs)
-    reference = exact.creep_strain_at_constant_stress(CEMENT, 5, CYCLES)
+    runs = problem.solve_each(CREEP_BAR, changes_of_runs)
+    reference = exact.creep_strain_at_constant_stress(CEMENT_CREEP, 5, CYCLES)
     problem.compare(*(summary_number(solved, STRAIN, reference) for solved in runs))
 
 
@@ -54,7 +54,7 @@ def test_creep_order(problem: KnownProblem) -> None:
     stage = "stages.0={{name: hold, creep_time: 1 s, adaptive: false, increments: {}}}"
     steps = problem.rungs((1 / 20, 1 / 40, 1 / 80, 1 / 160))
     changes_of_runs = [(*held(10), norton, stage.format(round(1 / step))) for step in steps]
-    runs = problem.solve_each(BAR, changes_of_runs)
+    runs = problem.solve_each(CREEP_BAR, changes_of_runs)
     reference = (1e-3 + 3 * E * 1e-6) ** (-1 / 3)
     problem.converges([summary_number(solved, MISES, reference) for solved in runs])
 
@@ -67,8 +67,8 @@ def test_creep_relaxation(problem: KnownProblem) -> None:
         tolerance=2e-3,
         source=HARDENING,
     )
-    solved = problem.solve(BAR, *held(10))
-    problem.compare(summary_number(solved, MISES, exact.relaxed_stress(CEMENT, 10, CYCLES)))
+    solved = problem.solve(CREEP_BAR, *held(10))
+    problem.compare(summary_number(solved, MISES, exact.relaxed_stress(CEMENT_CREEP, 10, CYCLES)))
 
 
 @verify
@@ -155,9 +155,9 @@ JUMPS = (1, 10, 1e3, 1e5, 1e7)
 def test_creep_first_jump(problem: KnownProblem, s: float, jump: float) -> None:
     problem.expects("creep strain after one jump, relative", tolerance=1e-3, source=POWER_LAW)
     stage = f"stages.0={{name: jump, creep_cycles: {jump}, adaptive: false, creep_tolerance: 1e-4}}"
-    solved = problem.solve(BAR, f"loads.pull.pressure={-s} MPa", stage)
+    solved = problem.solve(CREEP_BAR, f"loads.pull.pressure={-s} MPa", stage)
     problem.compare(
-        summary_number(solved, STRAIN, exact.creep_strain_at_constant_stress(CEMENT, s, jump))
+        summary_number(solved, STRAIN, exact.creep_strain_at_constant_stress(CEMENT_CREEP, s, jump))
     )
 
 
@@ -168,9 +168,11 @@ STRESSED = [pytest.param(s, id=f"{s:g} MPa") for s in STRESSES]
 @pytest.mark.parametrize("s", STRESSED)
 def test_creep_loaded(problem: KnownProblem, s: float) -> None:
     problem.expects("creep strain under load, relative", tolerance=1e-3, source=POWER_LAW)
-    solved = problem.solve(BAR, f"loads.pull.pressure={-s} MPa")
+    solved = problem.solve(CREEP_BAR, f"loads.pull.pressure={-s} MPa")
     problem.compare(
-        summary_number(solved, STRAIN, exact.creep_strain_at_constant_stress(CEMENT, s, CYCLES))
+        summary_number(
+            solved, STRAIN, exact.creep_strain_at_constant_stress(CEMENT_CREEP, s, CYCLES)
+        )
     )
 
 
@@ -178,5 +180,5 @@ def test_creep_loaded(problem: KnownProblem, s: float) -> None:
 @pytest.mark.parametrize("s", STRESSED)
 def test_creep_held(problem: KnownProblem, s: float) -> None:
     problem.expects("stress of a held bar, relative", tolerance=5e-3, source=HARDENING)
-    solved = problem.solve(BAR, *held(s))
-    problem.compare(summary_number(solved, MISES, exact.relaxed_stress(CEMENT, s, CYCLES)))
+    solved = problem.solve(CREEP_BAR, *held(s))
+    problem.compare(summary_number(solved, MISES, exact.relaxed_stress(CEMENT_CREEP, s, CYCLES)))

@@ -29,9 +29,9 @@ from app.verification.problem import (
     stress,
 )
 
-STEM = "stress/stem.yaml"
-BAR = "verification/foundation_bar.yaml"
-SIDES = ("stem_cement", "cement_bone")
+STRESS_STEM = "stress/stem.yaml"
+FOUNDATION_BAR = "verification/foundation_bar.yaml"
+STEM_INTERFACES = ("stem_cement", "cement_bone")
 FIELDS = "every field, over its largest value"
 LINEAR = "displacements and tractions are proportional to the load, and to loads and gaps together"
 
@@ -43,7 +43,7 @@ SMALL_LOADS = (
 
 # Augmentation over eight decades, by factors on the default
 
-FACTORS = {half: float(f"{10.0 ** (half / 2):.6g}") for half in range(-8, 9) if half}
+AUGMENTATION_FACTORS = {half: float(f"{10.0 ** (half / 2):.6g}") for half in range(-8, 9) if half}
 
 
 def usual(ratio: int, μ: float, half: int) -> bool:
@@ -64,7 +64,7 @@ def usual(ratio: int, μ: float, half: int) -> bool:
             marks=() if usual(ratio, μ, half) else long,
         )
         for ratio, μ in product((1, 50, 1000), (0.01, 0.05, 0.4, 1.0))
-        for half, factor in FACTORS.items()
+        for half, factor in AUGMENTATION_FACTORS.items()
         if μ != 0.05 or usual(ratio, μ, half)
     ],
 )
@@ -76,7 +76,7 @@ def test_augmentation(problem: KnownProblem, ratio: int, μ: float, factor: floa
         *(SMALL_LOADS if ratio == 1000 else ()),
     )
     augmentation = f"solver.augmentation_factor={0.2 * factor!r}"
-    solved, default = problem.solve_each(STEM, [(*base, augmentation), base])
+    solved, default = problem.solve_each(STRESS_STEM, [(*base, augmentation), base])
     augmentation_used, default_r = (r.summary["solver"]["augmentation"] for r in (solved, default))
     multiple = ", ".join(
         sorted({f"{augmentation_used[name] / default_r[name]:.3g}" for name in augmentation_used})
@@ -125,13 +125,13 @@ FORCES = (0.0, 1e-6, 1e-3, 1.0, 1e2, 1e4)
 def test_loads_stem(problem: KnownProblem, force: float) -> None:
     if force:
         problem.expects(FIELDS, tolerance=1e-10, source=LINEAR)
-        solved, usual = problem.solve_each(STEM, [pushed(force), ()])
+        solved, usual = problem.solve_each(STRESS_STEM, [pushed(force), ()])
         problem.compare(
             difference_between(solved, usual, lengths=force / 900, stresses=force / 900)
         )
     else:
         problem.expects("displacement and pressure without load", tolerance=1e-14, source="zero")
-        problem.compare(nothing_moves(problem.solve(STEM, *pushed(0.0))))
+        problem.compare(nothing_moves(problem.solve(STRESS_STEM, *pushed(0.0))))
 
 
 @stress
@@ -139,7 +139,7 @@ def test_loads_stem(problem: KnownProblem, force: float) -> None:
 def test_loads_stem_beyond_small_displacements(problem: KnownProblem) -> None:
     """The slip is proportional to the load: the stem of radius 7 mm would slip 100 mm."""
     problem.expects_refusal("a stem under 1e6 N", Reason.LARGE_DISPLACEMENT)
-    problem.solve(STEM, *pushed(1e6))
+    problem.solve(STRESS_STEM, *pushed(1e6))
 
 
 @stress
@@ -149,7 +149,7 @@ def test_loads_stem_beyond_small_displacements(problem: KnownProblem) -> None:
 )
 def test_loads_stem_and_gaps(problem: KnownProblem, c: float) -> None:
     problem.expects(FIELDS, tolerance=1e-10, source=LINEAR)
-    solved, usual = problem.solve_each(STEM, [(*gaps(c), *pushed(900 * c)), gaps(1.0)])
+    solved, usual = problem.solve_each(STRESS_STEM, [(*gaps(c), *pushed(900 * c)), gaps(1.0)])
     problem.compare(difference_between(solved, usual, lengths=c, stresses=c))
 
 
@@ -159,7 +159,7 @@ def test_loads_reversed_bar(problem: KnownProblem) -> None:
     problem.expects(
         "displacement along a reversed load", tolerance=1e-2, source="the reversed displacement"
     )
-    runs = problem.solve_each(BAR, [("loads.pull.force=[-500 N, 0 N, 0 N]",), ()])
+    runs = problem.solve_each(FOUNDATION_BAR, [("loads.pull.force=[-500 N, 0 N, 0 N]",), ()])
     forward, backward = (
         np.array([r.displacement(k)[:, 0] for k in range(len(r.times))]) for r in runs
     )
@@ -172,7 +172,7 @@ def test_loads_reversed_bar(problem: KnownProblem) -> None:
 @condensed
 def test_loads_reversed_stem(problem: KnownProblem) -> None:
     problem.expects_refusal("a stem pulled out", Reason.FLOATING_BODY)
-    problem.solve(STEM, "loads.push.force=[0 N, 0 N, 900 N]")
+    problem.solve(STRESS_STEM, "loads.push.force=[0 N, 0 N, 900 N]")
 
 
 # Units
@@ -200,7 +200,7 @@ OTHER_UNITS = (
 def test_units(problem: KnownProblem, words: Sequence[str]) -> None:
     """The same case in other units."""
     problem.expects(FIELDS, tolerance=1e-8, source="the same case in mm, MPa, N")
-    problem.compare(difference_between(*problem.solve_each(STEM, [words, ()])))
+    problem.compare(difference_between(*problem.solve_each(STRESS_STEM, [words, ()])))
 
 
 @stress
@@ -219,14 +219,14 @@ def test_units_numbers_of(
     problem.expects(FIELDS, tolerance=1e-8, source="the same model in numbers of mm, MPa")
     moduli = {"stem": 110e3, "cement": 2200.0, "bone": 17e3}
     scaled = (f"regions.{n}.youngs_modulus={E * stresses!r} MPa" for n, E in moduli.items())
-    runs = problem.solve_all([run(STEM, *scaled, mesh=mesh), run(STEM)])
+    runs = problem.solve_all([run(STRESS_STEM, *scaled, mesh=mesh), run(STRESS_STEM)])
     problem.compare(difference_between(*runs, lengths=lengths, stresses=stresses, points=lengths))
 
 
 # Unsupported bodies: refused by name
 
-OPEN = tuple(f"interfaces.{side}.gap=0.1 mm" for side in SIDES)
-SMOOTH = tuple(f"interfaces.{side}.friction_coefficient=0" for side in SIDES)
+OPEN = tuple(f"interfaces.{side}.gap=0.1 mm" for side in STEM_INTERFACES)
+SMOOTH = tuple(f"interfaces.{side}.friction_coefficient=0" for side in STEM_INTERFACES)
 TWIST = (
     "loads.lateral={kind: force, boundary: stem_top, force: [0 N, 10 N, 0 N], "
     "at: [100 mm, 0 mm, 24 mm]}"
@@ -253,7 +253,7 @@ def test_floating(problem: KnownProblem, name: str) -> None:
     answers = {"both open, pushed aside": law_violation, "both open, no load": nothing_moves}
     if name not in answers:
         problem.expects_refusal(description, reason)
-        problem.solve(STEM, *FLOATING[name])
+        problem.solve(STRESS_STEM, *FLOATING[name])
         return
     problem.expects(
         f"violation of balance and of the laws, {description}",
@@ -261,7 +261,7 @@ def test_floating(problem: KnownProblem, name: str) -> None:
         source="Signorini's conditions and Coulomb's law",
         or_refusal=reason,
     )
-    problem.compare(answers[name](problem.solve(STEM, *FLOATING[name])))
+    problem.compare(answers[name](problem.solve(STRESS_STEM, *FLOATING[name])))
 
 
 # Steps and paths
@@ -294,7 +294,7 @@ def test_increments_1_to_64(problem: KnownProblem) -> None:
     """The error falls in proportion to the length of steps."""
     problem.expects("order of steps, below 1", tolerance=0.2, source="implicit Euler: order 1")
     counts = (1, 2, 4, 8, 16, 32, 64, 128)
-    runs = problem.solve_each(STEM, [carried_round("[1, 0]", n) for n in counts])
+    runs = problem.solve_each(STRESS_STEM, [carried_round("[1, 0]", n) for n in counts])
     *coarse, finest = map(final, runs)
     errors = [float(np.linalg.norm(x - finest) / np.linalg.norm(finest)) for x in coarse]
     # The finest run has an error too, so differences scale with h - h_finest.
@@ -315,7 +315,7 @@ def test_increments_two_paths(problem: KnownProblem) -> None:
         source="friction makes the path matter",
     )
     paths = (("[1, 0]", 64), ("[1, 0]", 32), ("[0, 0]", 64))
-    runs = problem.solve_each(STEM, [carried_round(first, n) for first, n in paths])
+    runs = problem.solve_each(STRESS_STEM, [carried_round(first, n) for first, n in paths])
     first_path, coarse_path, second_path = map(final, runs)
     size = np.linalg.norm(first_path)
     path_difference = np.linalg.norm(first_path - second_path)
@@ -381,5 +381,5 @@ def test_symmetry_turned(problem: KnownProblem) -> None:
     problem.expects(FIELDS, tolerance=1e-8, source="the model rotated back")
     loads = {"push": (0, 0, -900), "lateral": (300, 200, 0)}
     forces = (f"loads.{name}.force={rotated(force)}" for name, force in loads.items())
-    runs = problem.solve_all([run(STEM, *forces, mesh="turned"), run(STEM)])
+    runs = problem.solve_all([run(STRESS_STEM, *forces, mesh="turned"), run(STRESS_STEM)])
     problem.compare(difference_between(*runs, turn=ROTATION))

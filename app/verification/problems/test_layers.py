@@ -77,7 +77,7 @@ def test_wall_penalty(problem: KnownProblem) -> None:
 
 POWERS = tuple(float(f"{10.0**k:.6g}") for k in range(9))
 FIRST_ORDER = "a body in series with a spring: errors fall with its stiffness"
-STEM = "stress/stem.yaml"
+STRESS_STEM = "stress/stem.yaml"
 LAYER = "interfaces.stem_cement.elastic_layer={{normal: {0!r} MPa/mm, tangential: {0!r} MPa/mm}}"
 
 
@@ -114,7 +114,7 @@ def test_layer_stem(problem: KnownProblem, k: float) -> None:
         source="springs in series with Signorini's conditions and Coulomb's law",
         or_refusal=Reason.LARGE_DISPLACEMENT if k < 100 else None,
     )
-    problem.compare(law_violation(problem.solve(STEM, LAYER.format(k))))
+    problem.compare(law_violation(problem.solve(STRESS_STEM, LAYER.format(k))))
 
 
 @stress
@@ -122,7 +122,9 @@ def test_layer_stem(problem: KnownProblem, k: float) -> None:
 def test_layer_order_stem(problem: KnownProblem) -> None:
     problem.expects("orders of a layer's stiffness, from -1", tolerance=0.05, source=FIRST_ORDER)
     stiffnesses = POWERS[4:]
-    runs = problem.solve_all([*(run(STEM, LAYER.format(k)) for k in stiffnesses), run(STEM)])
+    runs = problem.solve_all(
+        [*(run(STRESS_STEM, LAYER.format(k)) for k in stiffnesses), run(STRESS_STEM)]
+    )
     problem.compare(orders(runs, stiffnesses))
 
 
@@ -130,7 +132,6 @@ def test_layer_order_stem(problem: KnownProblem) -> None:
 
 CASE = "verification/layer.yaml"
 SERIES = "layer of stiffness k_n, k_t in series with Coulomb's law"
-ACROSS = 150.0  # MPa/mm
 ALONG = 130.0  # MPa/mm
 LIMIT = 0.9  # MPa, of friction
 PRESS = 0.02  # mm

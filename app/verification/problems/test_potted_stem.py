@@ -8,7 +8,7 @@ from app.verification import closed_forms as exact
 from app.verification.measures import summary_number
 from app.verification.problem import KnownProblem, quick, verify
 
-BAR = "verification/potted_bar.yaml"
+POTTED_BAR = "verification/potted_bar.yaml"
 BEAM = "beam: N / A + M x / I; energy of axial force, bending, shear and Saint-Venant's torsion"
 # Bar of potted_bar.yaml: Young's modulus [MPa], width, depth, length [mm].
 E = 110e3
@@ -18,7 +18,7 @@ SHORT = 40.0
 # Height at which the stress is evaluated [mm].
 LEVEL = 20.0
 # Centre of the head against the centre of the top [mm].
-HEAD = (30.0, 0.0, 20.0)
+HEAD_CENTRE = (30.0, 0.0, 20.0)
 # Force of ISO 7206-4, and its part along the axis [N].
 FORCE = (-399.4, -354.3, -2237.2)
 AXIAL = (0.0, 0.0, -2237.2)
@@ -42,10 +42,10 @@ def test_potted_axial(problem: KnownProblem, name: str) -> None:
     expect(problem, f"{name} of a bar under an eccentric force along its axis", 1e-8)
     bar = exact.CantileverBar(E, *SECTION, LENGTH)
     answers = {
-        "level_stress": bar.largest_stress(AXIAL, HEAD, LEVEL),
-        "deflection": bar.deflection(AXIAL, HEAD),
+        "level_stress": bar.largest_stress(AXIAL, HEAD_CENTRE, LEVEL),
+        "deflection": bar.deflection(AXIAL, HEAD_CENTRE),
     }
-    problem.compare(summary_number(problem.solve(BAR, ALONG), f"stem.{name}", answers[name]))
+    problem.compare(summary_number(problem.solve(POTTED_BAR, ALONG), f"stem.{name}", answers[name]))
 
 
 @verify
@@ -55,8 +55,8 @@ def test_potted_order(problem: KnownProblem) -> None:
         (ALONG, *SHORTER, "mesh.order=1", f"mesh.size={h} mm")
         for h in problem.rungs((1.4, 1.0, 0.7), finest="default")
     ]
-    answer = exact.CantileverBar(E, *SECTION, SHORT).deflection(AXIAL, HEAD)
-    runs = problem.solve_each(BAR, changes_of_runs)
+    answer = exact.CantileverBar(E, *SECTION, SHORT).deflection(AXIAL, HEAD_CENTRE)
+    runs = problem.solve_each(POTTED_BAR, changes_of_runs)
     problem.converges([summary_number(run, "stem.deflection", answer) for run in runs])
 
 
@@ -73,8 +73,8 @@ def test_potted_head(problem: KnownProblem, name: str, tolerance: float) -> None
     expect(problem, f"{name} of a bar under the force of ISO 7206-4", tolerance)
     bar = exact.CantileverBar(E, *SECTION, LENGTH)
     answers = {
-        "level_stress": bar.largest_stress(FORCE, HEAD, LEVEL),
-        "deflection": bar.deflection(FORCE, HEAD),
+        "level_stress": bar.largest_stress(FORCE, HEAD_CENTRE, LEVEL),
+        "deflection": bar.deflection(FORCE, HEAD_CENTRE),
     }
-    solved = problem.solve(BAR, "mesh.size=2.5 mm")
+    solved = problem.solve(POTTED_BAR, "mesh.size=2.5 mm")
     problem.compare(summary_number(solved, f"stem.{name}", answers[name]))

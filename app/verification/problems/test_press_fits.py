@@ -100,7 +100,7 @@ def test_lame_p2_curved(problem: KnownProblem) -> None:
 
 ROD = "verification/pressed_rod.yaml"
 RING = (17e3, 0.3)
-OUTSIDE = 17.0  # mm, radius of the ring
+OUTER_RADIUS = 17.0  # mm, radius of the ring
 ROD_LENGTH = 40.0  # mm
 RIGID = (1e12, 0.3)
 FRICTION = 0.5
@@ -122,7 +122,7 @@ def test_press_fit_pressure(problem: KnownProblem) -> None:
 
 def fit_pressure() -> float:
     """Lamé's pressure of the rod in its ring [MPa]."""
-    return exact.lame_pressure_free(0.02, RADIUS, OUTSIDE, RIGID, RING)
+    return exact.lame_pressure_free(0.02, RADIUS, OUTER_RADIUS, RIGID, RING)
 
 
 @verify
@@ -143,7 +143,7 @@ def test_press_fit_pushed(problem: KnownProblem, way: str, sign: int) -> None:
     )
     solved = problem.solve(ROD, f"supports.rod.z={sign * 0.2} mm")
     area = 2 * np.pi * RADIUS * ROD_LENGTH / 4
-    factor = exact.press_out_factor(sign * FRICTION, RADIUS, OUTSIDE, ROD_LENGTH, RING[1])
+    factor = exact.press_out_factor(sign * FRICTION, RADIUS, OUTER_RADIUS, ROD_LENGTH, RING[1])
     force = abs(solved.summary["interfaces"]["stem_cement"]["force"][2])
     problem.compare(relative(force, FRICTION * fit_pressure() * area * factor))
 
@@ -167,7 +167,7 @@ def test_press_fit_taper(problem: KnownProblem) -> None:
     rise = 0.5 * ROD_LENGTH * np.tan(angle)
     cone = RADIUS - rise, RADIUS + rise
     force = 4 * abs(solved.summary["interfaces"]["stem_cement"]["force"][2])
-    problem.compare(relative(force, exact.taper_force(depth, angle, cone, OUTSIDE, RING)))
+    problem.compare(relative(force, exact.taper_force(depth, angle, cone, OUTER_RADIUS, RING)))
 
 
 # Interference that varies around the core
