@@ -19,10 +19,11 @@ from app.case.case import load_case
 from app.case.geometries import Cylinders, MeshFile, MeshOptions
 from app.foundation.errors import InputError, MantleError
 from app.soundness.well_posedness import check_on_mesh, mesh_parts
-from meshes.data import EDGES, MeshData, boundary_areas, region_volumes
+from meshes.data import MeshData, boundary_areas, region_volumes
 from meshes.distribute import distribute
 from meshes.gmsh_session import session
 from meshes.pieces import touching_without_shared_nodes
+from meshes.shape_functions import GMSH_TETRAHEDRON
 from tests.mesh_files.spellings import (
     BOTTOM_SIDES,
     CELLS,
@@ -64,7 +65,7 @@ FACES = [(0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)]
 def numbering(*corners: int) -> list[int]:
     """The order of a program in terms of gmsh's order, from that of the corners."""
     edges = [{corners[k] for k in edge} for edge in LATER]
-    return [*corners, *(4 + [set(e) for e in EDGES].index(edge) for edge in edges)]
+    return [*corners, *(4 + [set(e) for e in GMSH_TETRAHEDRON].index(edge) for edge in edges)]
 
 
 @pytest.fixture(scope="module", params=[False, True], ids=["straight", "curved"])
@@ -142,7 +143,7 @@ def by_meshio(data: MeshData, path: Path) -> None:
 
 def edges(data: MeshData) -> set[tuple[int, int, int]]:
     """Ends and middle of each edge."""
-    ends = np.sort(data.cells[:, np.array(EDGES)], axis=2).reshape(-1, 2)
+    ends = np.sort(data.cells[:, np.array(GMSH_TETRAHEDRON)], axis=2).reshape(-1, 2)
     middles = data.cells[:, 4:].reshape(-1, 1) if data.curved else ends[:, :1]
     return {*map(tuple, np.hstack([ends, middles]).tolist())}
 

@@ -19,7 +19,6 @@ from app.foundation.errors import GeometryError
 from meshes import femur, femur_bone, femur_intact, femur_stem, quality, swept, write_msh
 from meshes.bone_layers import TableLayers
 from meshes.data import (
-    EDGES,
     exterior_facets,
     facet_areas,
     interface_facets,
@@ -31,6 +30,7 @@ from meshes.femur import PATCH_RADIUS
 from meshes.femur_bone import FemurBone
 from meshes.gmsh_session import session
 from meshes.layered_surfaces import LayeredSurfaces as Surfaces
+from meshes.shape_functions import GMSH_TETRAHEDRON
 from tests import support
 from tests.meshes.femurs import built, hip, sized
 from tests.patient.bones import turned
@@ -347,7 +347,7 @@ def test_swept_low_head_neck_is_clear_of_bone(size: float, curved: bool) -> None
 def test_swept_curved_cells_have_positive_jacobian() -> None:
     data = built(6.0, curved=True)
     grid = np.random.default_rng(0).dirichlet(np.ones(4), 40)
-    edges = tangents(data.points[data.cells], grid, EDGES)
+    edges = tangents(data.points[data.cells], grid, GMSH_TETRAHEDRON)
     volumes = np.linalg.det(edges.transpose(2, 3, 0, 1))
     assert volumes.min() > 0
 
