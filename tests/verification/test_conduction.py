@@ -97,7 +97,7 @@ class Solved(HeatState):
     @property
     def flows(self) -> dict[str, float]:
         """Heat that enters at the end of the last solve."""
-        return self._flows_of_stages[-1]
+        return self._flows_of_implicit_stages[-1]
 
     def steady(self) -> Solved:
         """Solve for the steady state."""
@@ -245,7 +245,7 @@ def test_conduction_balance_closes_with_all_conditions(h: float, method: str) ->
     before, moved = s.stored, 0.0
     for _ in range(5):
         came = s.advance(1.5, method)
-        moved += 1.5 * max(abs(f) for flows in s._flows_of_stages for f in flows.values())
+        moved += 1.5 * max(abs(f) for flows in s._flows_of_implicit_stages for f in flows.values())
         after = s.stored
         assert after - before == pytest.approx(came, abs=1e-9 * moved)
         before = after
