@@ -44,9 +44,9 @@ from pathlib import Path
 from time import process_time
 
 from app.cli import main
-from app.case.case import load
+from app.case.case import load_case
 
-case = load(Path("configs/stance.yaml")).config
+case = load_case(Path("configs/stance.yaml")).config
 import petsc4py
 petsc4py.init(["mantle", "-skip_petscrc"])
 import app.numerics.condensed, app.simulation.session, meshes.gruen

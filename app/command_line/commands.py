@@ -211,8 +211,11 @@ def _mesh(options: argparse.Namespace) -> int:
     draw_case = partial(case_picture.draw, case.config)
     drawings: dict[Path, Callable[..., None]] = {path.with_suffix(".png"): draw_case}
     if case.config.geometry.mantles or case.config.geometry.laws_to_write:
-        for draw in (sections.draw_sections, sections.interfaces):
-            file = path.with_name(f"{path.stem}_{draw.__name__}.png")
+        for name, draw in (
+            ("sections", sections.draw_sections),
+            ("interfaces", sections.interfaces),
+        ):
+            file = path.with_name(f"{path.stem}_{name}.png")
             is_mirrored = case.config.geometry.is_mirrored
             drawings[file] = partial(draw, title=sections.MIRRORED if is_mirrored else "")
     try:

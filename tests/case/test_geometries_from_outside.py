@@ -18,7 +18,7 @@ from app.case.shapes import Shape, graded_cells
 from app.laws.densities import ModulusField
 from app.schema.paths import File
 from app.schema.units import Modulus, PositiveLength
-from meshes.data import assemble, exterior_facets, number
+from meshes.data import exterior_facets, mesh_data_of, number
 from meshes.gmsh_session import session, tetrahedra
 
 
@@ -67,7 +67,7 @@ def build(geometry, mesh):
     facets, _ = exterior_facets(cells)
     z = points[facets[:, :3]].mean(axis=1)[:, 2]
     ends = {"bottom": z < 1e-6, "top": z > geometry.height - 1e-6}
-    return assemble(points, cells, tags, number(geometry.region_names), {}, ends, facets)
+    return mesh_data_of(points, cells, tags, number(geometry.region_names), {}, ends, facets)
 '''
 BASE = """\
 geometry: {kind: column, width: 4 mm, profile: height.txt}

@@ -792,8 +792,8 @@ def test_run_of_a_parametric_femur_imports_nothing_for_patients() -> None:
     """Imports of the search for landmarks on a patient's bone take 0.15 s."""
     path = str(support.CONFIGS / "stance.yaml")
     script = (
-        "import sys; from pathlib import Path; from app.case.case import load; "
-        f"assert load(Path({path!r})).config.geometry.placement.top > 0; print(*sys.modules)"
+        "import sys; from pathlib import Path; from app.case.case import load_case; "
+        f"assert load_case(Path({path!r})).config.geometry.placement.top > 0; print(*sys.modules)"
     )
     loaded = set(support.python("-c", script).stdout.splitlines()[-1].split())
     assert "meshes.placement" in loaded

@@ -46,7 +46,7 @@ def stack(size: float, *blocks_: tuple[str, float], curved: bool = False) -> Tag
         interface_sides={f"{a}_{b}": ((a,), (b,)) for (a, _), (b, _) in pairwise(blocks_)},
         tilt=0.0,
     )
-    mesh = SimpleNamespace(size=size, far=size, curved=curved)
+    mesh = SimpleNamespace(size=size, far_size_or_default=size, curved=curved)
     return distribute(blocks.build(geometry, mesh), MPI.COMM_SELF)
 
 
