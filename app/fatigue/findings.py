@@ -15,6 +15,7 @@ from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault
 from app.soundness.preview import from_memory, input_note
 from app.soundness.result_notes import result_note
+from app.system.layout import two_digits
 
 
 @check("fatigue", "stages")
@@ -95,8 +96,8 @@ def _beyond_measured(case: Case, numbers: Summary) -> Iterable[Verdict]:
         lowest, highest = law.measured
         if not lowest <= stress <= highest:
             message = (
-                f"was measured at {lowest:g} to {highest:g} MPa, and is used at {stress:.2g} MPa"
-                " (p99)"
+                f"was measured at {lowest:g} to {highest:g} MPa, and is used at"
+                f" {two_digits(stress)} MPa (p99)"
             )
             yield note(message, f"fatigue.laws.{name}")
 
@@ -126,7 +127,7 @@ def _endurance(stem: str, numbers: Numbers) -> str:
         for cycles in (numbers["life_median"], numbers["life_p05"])
     ]
     failing = numbers["failing"]
-    part = f"{100 * failing:.2g} %" if failing >= 1e-4 else "less than 0.01 %"
+    part = f"{two_digits(100 * failing)} %" if failing >= 1e-4 else "less than 0.01 %"
     return (
         f"{stem}: {numbers['level_stress']:.0f} MPa at the level of the resin, "
         f"{numbers['free_tension_p99']:.0f} MPa above it (p99). Cycles to failure: {lives[0]} in "
@@ -150,8 +151,7 @@ def life(laws: Mapping[str, Numbers]) -> str:
         remedy = "add another law, or run with --error"
         return f"the life is not shown without an uncertainty ({causes}): {remedy}"
     shortest_life, longest_life = (
-        f"{float(f'{1 / damage:.2g}'):g}" if damage > 0 else ""
-        for damage in (largest_damage, smallest_damage)
+        two_digits(1 / damage) if damage > 0 else "" for damage in (largest_damage, smallest_damage)
     )
     if not shortest_life:
         years = "without end"
@@ -170,12 +170,12 @@ def _strength(name: str, q: Numbers, unsettled: Mapping[str, list[list[float]]])
     for part in ("", *(p for p in quantities.PARTS if "failure_risk" in q.get(p, {}))):
         numbers = q[part] if part else q
         key = f"{name}_{part}" if part else name
-        probability = f"{100 * numbers['failure_probability']:.2g} %"
+        probability = f"{two_digits(100 * numbers['failure_probability'])} %"
         if part:
             probability += f" at its {part}"
         (_, fine), (size, coarse), *_ = unsettled.get(f"{key}.failure_risk", ((0, 0), (0, 0)))
         if fine > coarse:
-            grown = f"from {coarse:.2g} at {size:g} mm to {fine:.2g}"
+            grown = f"from {two_digits(coarse)} at {size:g} mm to {two_digits(fine)}"
             probability = f"{probability} (failure_risk grows {grown} and may not converge)"
             severity = Severity.WARNING
         probabilities.append(probability)

@@ -26,7 +26,7 @@ from app.report.page import Block, LargeNumber, PageSection, bullets, table
 from app.report.sweep_results import Json, SweptCase, headlines
 from app.results.verdicts import notes_of
 from app.system.folders import write_text
-from app.system.layout import noted, plain_text, several
+from app.system.layout import noted, plain_text, several, two_digits
 
 # Largest number of runs of a page: a browser draws about sixteen views.
 MOST_RUNS = 8
@@ -150,7 +150,7 @@ def _largest(
                 f"{b.value - a.value:+.3g}".replace("-", "−"),
                 unit,
                 page.spelled_out(number.label),
-                f"± {error:.2g} {unit}" if error is not None else "",
+                f"± {two_digits(error)} {unit}" if error is not None else "",
                 " ".join(values),
             )
         )

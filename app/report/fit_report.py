@@ -21,7 +21,7 @@ from app.plots.figures import PNG
 from app.report import page
 from app.report.page import Cell, Figure, LargeNumber, Link, PageSection, bullets, folded, table
 from app.system.folders import read_json, write_text
-from app.system.layout import duration, several
+from app.system.layout import duration, several, two_digits
 
 # Content, page and picture in the folder of a fit.
 RECORD = "fit.json"
@@ -147,7 +147,7 @@ def _large(record: FitRecord) -> list[LargeNumber]:
     for key, row in [*record["keys"].items()][:MOST_LARGE]:
         error = ""
         if row["uncertainty"] is not None:
-            error = f"± {row['uncertainty']:.2g}"
+            error = f"± {two_digits(row['uncertainty'])}"
         elif record["aim"] == "targets":
             error = "not determined"
         caption = short_names[key].replace("_", " ")

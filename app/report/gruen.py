@@ -19,6 +19,7 @@ from app.report.sweep_results import (
     SweptCase,
     magnitude,
 )
+from app.system.layout import two_digits
 
 # Last zone of the frontal view; higher numbers belong to the lateral view.
 FRONTAL = 7
@@ -69,7 +70,7 @@ def tables(case: SweptCase) -> list[tuple[str, list[str], list[list[str]]]]:
     for zone_name, zone in by_zone.items():
         row = [_zone(zone_name)]
         if cement:
-            row.append(" / ".join(f"{v:.2g}" for v in cement.get(zone_name, {}).values()) or "-")
+            row.append(" / ".join(two_digits(v) for v in cement.get(zone_name, {}).values()) or "-")
         density, errors = zone["strain_energy_density"], zone.get("strain_energy_density_error", {})
         for bone in bones:
             if bone in errors:

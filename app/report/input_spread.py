@@ -14,7 +14,7 @@ from app.case.summary import Numbers
 from app.foundation.errors import InputError
 from app.report.sweep_keys import key_in_words
 from app.report.sweep_results import SweptCase, read
-from app.system.layout import plain_text
+from app.system.layout import plain_text, two_digits
 
 # Fewest samples for a 5th and a 95th percentile.
 FEWEST_SAMPLES = 10
@@ -98,8 +98,8 @@ class InputSpread:
         return (
             f"{comparison}: half the range from 5 to 95 % over {len(self.inputs)} inputs exceeds "
             f"the ± for {larger} of {len(ratios)} main numbers; the median ratio is "
-            f"{middle:.2g}{strongest}. The range is from {len(self.samples)} of {self.drawn} "
-            f"samples on meshes of {size}."
+            f"{two_digits(middle)}{strongest}. The range is from {len(self.samples)} of"
+            f" {self.drawn} samples on meshes of {size}."
         )
 
 

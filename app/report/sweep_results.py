@@ -20,6 +20,7 @@ from app.results.reading import PathTable, Results
 from app.results.verdicts import UNUSABLE
 from app.schema.units import NUMBER
 from app.system.folders import read_json
+from app.system.layout import two_digits
 
 INTERFACES = ("cement_bone", "stem_cement", "stem_bone")
 # Of each contact quantity: the percentile that converges, its unit for people, factor, words.
@@ -60,7 +61,7 @@ class Number:
         if self.error is None or self.error <= 0:
             return f"{self.value:.4g}"
         if self.error >= abs(self.value):
-            return f"{self.value:.2g} ± {self.error:.2g}"
+            return f"{two_digits(self.value)} ± {two_digits(self.error)}"
         places = max(0, 1 - math.floor(math.log10(self.error)))
         if places > 5:
             return f"{self.value:.6g} ± {self.error:.1g}"

@@ -16,7 +16,7 @@ from app.foundation.errors import UnusableError
 from app.foundation.verdict import Severity, Verdict, recorded, texts_of
 from app.results.damage import RESOLVED
 from app.results.error_estimate import is_zero, largest_of_units
-from app.system.layout import count, several
+from app.system.layout import count, several, two_digits
 
 # Status of solved cases whose numbers are not to be used.
 UNUSABLE = "do not use"
@@ -221,7 +221,7 @@ def _contact(interfaces: Mapping[str, Numbers]) -> Verdict:
 
     def length(key: str, value: float) -> str:
         q = TABLE["interfaces"][key]
-        return f"{q.factor * value:.2g} {q.shown}"
+        return f"{two_digits(q.factor * value)} {q.shown}"
 
     layers = {
         name: q["compression_max"]

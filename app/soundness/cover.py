@@ -15,7 +15,7 @@ from app.mechanics.problem import Problem
 from app.numerics.rigid_motions import rigid_modes
 from app.scene.bodies import cell_tags, touched_nodes
 from app.scene.scene import Interface
-from app.system.layout import point_text
+from app.system.layout import point_text, two_digits
 
 # A point is beyond the rim of a surface if its distance exceeds this fraction of an edge.
 OFF = 0.25
@@ -72,8 +72,9 @@ class Cover:
             angle = float(np.linalg.norm(problem.comm.allreduce(rigid_motion)))
             if angle > TIPPED:
                 message = (
-                    f"body '{problem.bodies.names[body]}' has tipped by {np.degrees(angle):.2g} "
-                    "degrees; with finite sliding its surface does not rotate with it"
+                    f"body '{problem.bodies.names[body]}' has tipped by"
+                    f" {two_digits(np.degrees(angle))} degrees; with finite sliding its surface"
+                    " does not rotate with it"
                 )
                 remedy = "add supports that keep it upright, or a motion of the master"
                 return Verdict(message, remedy=remedy)

@@ -10,6 +10,7 @@ from app.case.quantities import maximum_with_parts
 from app.case.summary import Summary
 from app.foundation.verdict import Verdict, note
 from app.laws.materials import Material
+from app.system.layout import two_digits
 
 # Strain above which small-strain elasticity holds for no material.
 STRAIN = 0.05
@@ -36,16 +37,16 @@ def of_results(case: Case, numbers: Summary) -> list[Verdict]:
         lowest_stress, highest_stress = (creep and creep.stresses) or (0.0, math.inf)
         if "creep_strain_max" in q and not lowest_stress <= q["von_mises_p99"] <= highest_stress:
             message = (
-                f"creeps at {q['von_mises_p99']:.2g} MPa (von Mises p99), but its law was measured "
-                f"from {lowest_stress:g} to {highest_stress:g} MPa"
+                f"creeps at {two_digits(q['von_mises_p99'])} MPa (von Mises p99), but its law was"
+                f" measured from {lowest_stress:g} to {highest_stress:g} MPa"
             )
             notes.append(note(message, f"region '{name}'"))
         E = smallest_modulus(case.regions[name])
         strain = maximum_with_parts(q, "von_mises_p99") / E if E else 0.0
         if strain > STRAIN:
             message = (
-                f"is strained by {100 * strain:.2g} % (stress over modulus), which is not small: "
-                "results are not valid there"
+                f"is strained by {two_digits(100 * strain)} % (stress over modulus), which is not"
+                " small: results are not valid there"
             )
             remedy = "check the units of moduli and loads"
             notes.append(note(message, f"region '{name}'", remedy))

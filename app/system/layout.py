@@ -47,6 +47,11 @@ def percent(value: float) -> str:
     return f"{100 * value:.0f} %" if value >= 1 else f"{100 * value:.2g} %"
 
 
+def two_digits(number: float) -> str:
+    """Number with two significant digits, without an exponent up to a million: 0.012, 4.1, 120."""
+    return f"{float(f'{number:.2g}'):g}"
+
+
 def count(number: float) -> str:
     """Count with commas between thousands."""
     return f"{round(number):,}"

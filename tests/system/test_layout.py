@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.system.layout import plain_text
+from app.system.layout import plain_text, two_digits
 
 
 @pytest.mark.parametrize(
@@ -22,3 +22,18 @@ from app.system.layout import plain_text
 def test_layout_writes_values_on_one_line(value: object, expected: str) -> None:
     """Rounding errors of a vector are zero, with units or without."""
     assert plain_text(value) == expected
+
+
+@pytest.mark.parametrize(
+    ("number", "expected"),
+    [
+        (0.01234, "0.012"),
+        (4.06, "4.1"),
+        (99.6, "100"),
+        (123.0, "120"),
+        (-1550.4, "-1600"),
+        (0, "0"),
+    ],
+)
+def test_layout_writes_two_digits_without_an_exponent(number: float, expected: str) -> None:
+    assert two_digits(number) == expected
