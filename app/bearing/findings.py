@@ -13,6 +13,7 @@ from app.laws.loads import Load
 from app.laws.motions import Motion
 from app.results.verdicts import result_verdict
 from app.schema.yaml_file import Fault
+from app.system.layout import percent, two_digits
 
 
 @check("interfaces")
@@ -65,10 +66,12 @@ def _last_cycles(summary: Summary) -> Iterable[Verdict]:
     for numbers in summary.get("cycles", {}).values():
         for name, change in numbers.get("change", {}).items():
             percentages = [
-                f"{100 * change[key]:.2g} % of the {key}"
+                f"{percent(change[key])} of the {key}"
                 for key in ("torque", "dissipation")
                 if key in change
             ]
-            differences = ", ".join([*percentages, f"{1e3 * change['centre']:.2g} um in place"])
+            differences = ", ".join(
+                [*percentages, f"{two_digits(1e3 * change['centre'])} um in place"]
+            )
             message = f"the last two cycles of {name} differ by {differences}"
             yield Verdict(message, "cycles", severity=Severity.PLAIN)

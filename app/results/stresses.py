@@ -104,12 +104,10 @@ class Stresses:
 
     def follow_density(self, all_regions: bool = False) -> None:
         """Update stiffness that follows a density; with ``all_regions`` all varying stiffness."""
-        for elastic_region in self._problem.scene.elastic:
-            points = self.points_of_region.get(elastic_region.region)
-            if points is None:
-                continue  # not among the fine regions
+        for region, points in self.points_of_region.items():
+            elastic_region = self._elastic_region(region)
             if elastic_region.varies and (all_regions or elastic_region.changing_density):
-                self._relative[elastic_region.region] = self._problem.body_forms.relative_stiffness(
+                self._relative[region] = self._problem.body_forms.relative_stiffness(
                     elastic_region, points
                 )
 

@@ -43,8 +43,8 @@ def duration(seconds: float) -> str:
 
 
 def percent(value: float) -> str:
-    """Format a relative number: 0.41 %, 12 %."""
-    return f"{100 * value:.0f} %" if value >= 1 else f"{100 * value:.2g} %"
+    """Format a relative number: 0.41 %, 12 %, 148 %."""
+    return f"{100 * value:.0f} %" if value >= 1 else f"{two_digits(100 * value)} %"
 
 
 def two_digits(number: float) -> str:

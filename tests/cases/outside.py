@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from tests import support
+from tests.cases.blocks import HALVES
 
 # All that it takes: its keys in YAML and its formula.
 LAYER = '''
@@ -26,17 +27,11 @@ class ElasticLayer(Traction):
 '''
 
 # Two blocks of 2 mm on each other, and a shear and a pull on top.
-CASE = """\
-geometry: {kind: blocks, blocks: [{name: lower, size: [4 mm, 4 mm, 2 mm]},
-                                  {name: upper, size: [4 mm, 4 mm, 2 mm]}]}
-mesh: {order: 1, size: 2 mm}
-regions:
-  lower: {youngs_modulus: 2 GPa, poisson_ratio: 0, tissue: other}
-  upper: {youngs_modulus: 1 GPa, poisson_ratio: 0, tissue: other}
-interfaces:
-  lower_upper: {kind: elastic_layer, stiffness: 50 MPa/mm}
-supports: {base: {kind: fixed, boundary: bottom}}
-loads: {pull: {kind: pressure, boundary: top, pressure: -3 MPa}}
+CASE = f"""\
+{HALVES}interfaces:
+  lower_upper: {{kind: elastic_layer, stiffness: 50 MPa/mm}}
+supports: {{base: {{kind: fixed, boundary: bottom}}}}
+loads: {{pull: {{kind: pressure, boundary: top, pressure: -3 MPa}}}}
 """
 
 

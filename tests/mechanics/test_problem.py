@@ -13,22 +13,17 @@ from app.numerics.newton import Solver
 from app.numerics.remedies import solve
 from app.scene.scene import build_scene
 from tests import support
+from tests.cases.blocks import HALVES
 
 # A bar of two halves, 2 GPa and 1 GPa, each 2 mm long, on 16 mm2.
-BAR = """
-geometry: {kind: blocks, blocks: [{name: lower, size: [4 mm, 4 mm, 2 mm]},
-                                  {name: upper, size: [4 mm, 4 mm, 2 mm]}]}
-mesh: {order: 1, size: 2 mm}
-regions:
-  lower: {youngs_modulus: 2 GPa, poisson_ratio: 0, tissue: other}
-  upper: {youngs_modulus: 1 GPa, poisson_ratio: 0, tissue: other}
-supports:
-  base: {kind: fixed, boundary: bottom}
+BAR = f"""\
+{HALVES}supports:
+  base: {{kind: fixed, boundary: bottom}}
 loads:
-  pull: {kind: pressure, boundary: top, pressure: -3 MPa, history: [1, 0.5]}
-  shove: {kind: force, boundary: top, force: [0 N, 8 N, 0 N], history: [0, 1]}
-stages: [{name: one}, {name: two}]
-solver: {tolerance: 1.0e-12}
+  pull: {{kind: pressure, boundary: top, pressure: -3 MPa, history: [1, 0.5]}}
+  shove: {{kind: force, boundary: top, force: [0 N, 8 N, 0 N], history: [0, 1]}}
+stages: [{{name: one}}, {{name: two}}]
+solver: {{tolerance: 1.0e-12}}
 """
 PULL = "loads.shove=null"
 CONTACT = "interfaces={lower_upper: {kind: contact, friction_coefficient: 0.3}}"

@@ -1,4 +1,4 @@
-"""What remedies switch at contact points: one face with the normal z, forces by hand."""
+"""Switches of remedies at contact points: one face with the normal z, forces by hand."""
 
 from __future__ import annotations
 

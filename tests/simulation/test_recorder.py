@@ -1,4 +1,4 @@
-"""What a run records of each step: rows, fields, calls and the summary."""
+"""Records of each step of a run: rows, fields, calls and the summary."""
 
 from __future__ import annotations
 
@@ -14,21 +14,16 @@ from app.case.case import load_case
 from app.foundation.errors import StoppedError
 from app.simulation.recorder import AcceptedStep
 from tests import support
+from tests.cases.blocks import HALVES
 
 # A bar of two halves, 2 GPa and 1 GPa, each 2 mm long, is pulled by 3 MPa, then by half of this.
-PULLED = """\
+PULLED = f"""\
 title: pulled bar
-geometry: {kind: blocks, blocks: [{name: lower, size: [4 mm, 4 mm, 2 mm]},
-                                  {name: upper, size: [4 mm, 4 mm, 2 mm]}]}
-mesh: {order: 1, size: 2 mm}
-regions:
-  lower: {youngs_modulus: 2 GPa, poisson_ratio: 0, tissue: other}
-  upper: {youngs_modulus: 1 GPa, poisson_ratio: 0, tissue: other}
-interfaces: {lower_upper: {kind: bonded}}
-supports: {base: {kind: fixed, boundary: bottom}}
-loads: {pull: {kind: pressure, boundary: top, pressure: -3 MPa, history: [1, 0.5]}}
-stages: [{name: on, increments: 3}, {name: off, increments: 2}]
-output: {probes: {tip: [2 mm, 2 mm, 4 mm]}, report: false}
+{HALVES}interfaces: {{lower_upper: {{kind: bonded}}}}
+supports: {{base: {{kind: fixed, boundary: bottom}}}}
+loads: {{pull: {{kind: pressure, boundary: top, pressure: -3 MPa, history: [1, 0.5]}}}}
+stages: [{{name: on, increments: 3}}, {{name: off, increments: 2}}]
+output: {{probes: {{tip: [2 mm, 2 mm, 4 mm]}}, report: false}}
 """
 # The stretch under 3 MPa [mm], and the times of the five steps with their parts of the load.
 STRETCH = 3 * (2 / 2000 + 2 / 1000)

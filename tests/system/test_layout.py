@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.system.layout import plain_text, two_digits
+from app.system.layout import percent, plain_text, two_digits
 
 
 @pytest.mark.parametrize(
@@ -37,3 +37,10 @@ def test_layout_writes_values_on_one_line(value: object, expected: str) -> None:
 )
 def test_layout_writes_two_digits_without_an_exponent(number: float, expected: str) -> None:
     assert two_digits(number) == expected
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"), [(0.0041, "0.41 %"), (0.12, "12 %"), (0.996, "100 %"), (1.48, "148 %")]
+)
+def test_layout_writes_percentages_without_an_exponent(value: float, expected: str) -> None:
+    assert percent(value) == expected
