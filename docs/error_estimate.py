@@ -415,11 +415,11 @@ def judged(folder: Path, hip: str, mesh: str, parts: bool = False) -> Iterator[J
     if run is None:
         return
     classes = HEAT_CLASSES if hip in HEAT_SCENES else CLASSES
-    exact = {(section, name): own_ for section, name, own_ in numbers_of(run.truth, parts)}
+    exact = {(section, name): values for section, name, values in numbers_of(run.truth, parts)}
     whole = {(section, name) for section, name, _ in numbers_of(run.summary)} if parts else set()
-    for section, name, own_ in numbers_of(run.summary, parts):
+    for section, name, values in numbers_of(run.summary, parts):
         for key, q in TABLE[section].items() if (section, name) not in whole else ():
-            estimate, value = own_.get(f"{key}_error"), own_.get(key)
+            estimate, value = values.get(f"{key}_error"), values.get(key)
             right = exact.get((section, name), {}).get(key)
             if estimate is None or right is None or q.vector or q.order not in classes:
                 continue
@@ -436,9 +436,10 @@ def judged(folder: Path, hip: str, mesh: str, parts: bool = False) -> Iterator[J
 def judged_zones(folder: Path, hip: str, mesh: str) -> Iterator[Judged]:
     """The numbers of the Gruen zones of a hip on a mesh that are not zero."""
     run = estimated(folder, hip, mesh)
-    for zone, own_ in run.summary["gruen"].items() if run else ():
-        tables = {"": (own_["strain_energy_density"], own_.get("strain_energy_density_error", {}))}
-        for name, values in own_["interfaces"].items():
+    for zone, numbers_of_zone in run.summary["gruen"].items() if run else ():
+        energy_errors = numbers_of_zone.get("strain_energy_density_error", {})
+        tables = {"": (numbers_of_zone["strain_energy_density"], energy_errors)}
+        for name, values in numbers_of_zone["interfaces"].items():
             errors = {k: values[f"{k}_error"] for k in values if f"{k}_error" in values}
             tables[name] = values, errors
         for name, (values, errors) in tables.items():
@@ -474,8 +475,8 @@ def table(folder: Path) -> None:
                     [r for h in hips for r in rows[h, s] if name in (r.kind, h, "all")]
                     for s in SIZES
                 ]
-                every = [r for own_ in per for r in own_]
-                cells = " | ".join(share(own_) for own_ in [*per, every])
+                every = [r for rows_of_size in per for r in rows_of_size]
+                cells = " | ".join(share(rows_of_size) for rows_of_size in [*per, every])
                 sys.stdout.write(f"| {name} | {cells} | {len(every)} |\n")
 
 

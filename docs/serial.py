@@ -22,7 +22,7 @@ from pathlib import Path
 from statistics import median
 
 from app import extensions  # noqa: F401  (registers keys that cases have)
-from app.system.layout import text_table
+from app.foundation.layout import text_table
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = Path(__file__).with_suffix(".json")

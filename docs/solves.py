@@ -21,11 +21,11 @@ from mpi4py import MPI
 
 from app import extensions  # noqa: F401  (registers keys that cases have)
 from app.case.case import load_case
+from app.foundation.layout import text_table
 from app.numerics.choice import SolverChoice
 from app.plots import figures
 from app.plots.figures import COLOURS, PNG
 from app.simulation.model import Model
-from app.system.layout import text_table
 from app.system.timing import Timing
 from app.verification.cost_figures import FEMUR, STANCE, STEPS
 from app.verification.problem import CONFIGS

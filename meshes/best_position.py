@@ -23,6 +23,7 @@ from scipy.optimize import linprog
 from app.foundation import files
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
+from app.foundation.layout import alternatives
 from meshes import cache, femur_stem, room
 from meshes.femur_stem import Thickness
 from meshes.geometry import HipKeys
@@ -103,8 +104,8 @@ class SearchedHip(HipKeys, Protocol):
     """A hip whose stem is put where there is most room."""
 
     @property
-    def wider_canal(self) -> str:
-        """Start of the advice where a stem has no room: how to widen the canal, or empty."""
+    def ways_to_widen_canal(self) -> tuple[str, ...]:
+        """Ways to widen the canal, if there is one, for the advice if the stem does not fit."""
 
     @property
     def least_room(self) -> float:
@@ -318,11 +319,16 @@ def _search(geometry: SearchedHip, insertion: SearchedInsertion) -> tuple[list[f
         aim = "keeps the stem in the canal"
         if geometry.least_room > 0:
             aim = f"leaves {geometry.least_room:g} mm around the stem"
+        remedies = (
+            *geometry.ways_to_widen_canal,
+            "use a smaller or shorter stem",
+            "widen insertion.best",
+        )
         raise GeometryError(
             f"geometry.insertion: {NO_POSITION} {aim};"
             f" the best ({position_text}) {shortfall}"
             f" {fit_after.side} at {placement.point_in_words(fit_after.place)};"
-            f" {geometry.wider_canal}use a smaller or shorter stem, or widen insertion.best"
+            f" {alternatives(remedies)}"
         )
     gain = fit_after.least - fit_before.least
     gain_text = "as at the given position"

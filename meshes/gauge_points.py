@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
+from app.foundation.layout import two_digits
 from meshes.data import tangents
 from meshes.facets import foot
 from meshes.shape_functions import (
@@ -193,7 +194,7 @@ def _circle_fault(
     rings = np.unique(radius)
     inside = rings[rings < radius[~is_allowed].min() * (1 - ROUNDING_OF_BARYCENTRIC)]
     if len(inside):
-        remedy = f"expected at most about {2 * inside.max():.2g} mm there, or another place"
+        remedy = f"expected at most about {two_digits(2 * inside.max())} mm there, or another place"
     else:
         remedy = "expected another place"
     return GaugeFault("diameter", message, remedy)

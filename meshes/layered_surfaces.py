@@ -24,6 +24,7 @@ import numpy as np
 from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
+from app.foundation.layout import two_digits
 from meshes import femur_stem
 from meshes.bone_layers import BoneLayers
 from meshes.cad_stem import CadStem
@@ -488,10 +489,11 @@ class LayeredSurfaces:
             )
             return
         finding = (
-            f"leaves {cortex_left[thinnest]:.2g} mm of the cortex (least: {LEAST_CORTEX:g} mm)"
+            f"leaves {two_digits(cortex_left[thinnest])} mm of the cortex"
+            f" (least: {LEAST_CORTEX:g} mm)"
         )
         if cortex_left[thinnest] <= 0:
-            finding = f"is {_rounded_up(-cortex_left[thinnest]):.2g} mm outside the bone"
+            finding = f"is {two_digits(_rounded_up(-cortex_left[thinnest]))} mm outside the bone"
         key, _ = self._geometry.more_room
         raise GeometryError(f"{key}: the stem {finding} {location}; use a smaller stem, or move it")
 
@@ -507,13 +509,14 @@ class LayeredSurfaces:
             return
         missing_room = _rounded_up(LEAST_MANTLE - least_room)
         finding = (
-            f"leaves {LEAST_MANTLE - missing_room:.2g} mm for cement (least: {LEAST_MANTLE:g} mm)"
+            f"leaves {two_digits(LEAST_MANTLE - missing_room)} mm for cement"
+            f" (least: {LEAST_MANTLE:g} mm)"
         )
         if least_room < 0:
-            finding = f"cuts {_rounded_up(-least_room):.2g} mm into the cortex"
+            finding = f"cuts {two_digits(_rounded_up(-least_room))} mm into the cortex"
         key, remedy = self._geometry.more_room
         location = self._side(lines.start[narrowest], zeta[narrowest])
-        missing_text = f"{missing_room:.2g} mm more are needed there"
+        missing_text = f"{two_digits(missing_room)} mm more are needed there"
         raise GeometryError(f"{key}: the stem {finding} {location}; {remedy}; {missing_text}")
 
 

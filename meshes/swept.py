@@ -116,38 +116,94 @@ def meshed_layers(surfaces: LayeredSurfaces, curved: bool) -> Swept:
 def _with_better_diagonals(
     surfaces: LayeredSurfaces, body: ReferenceBody, nodes: Nodes, number: Ints
 ) -> tuple[Ints, Ints]:
-    """Split the prisms as `_split`, with the better diagonals across the rings.
+    """Split the prisms as `_split`, with the better diagonals of quadrangles.
 
     Diagonals change where cells are poor and get better. A diagonal is the same in all sections:
     its worst cell counts.
     """
     around, per_line = surfaces.around, len(body.rho)
-    line, ring_place = np.divmod(body.columns, per_line)
-    inner_place = ring_place.min(axis=1)
-    ring = np.flatnonzero(
-        (body.columns < around * per_line).all(axis=1) & (inner_place < ring_place.max(axis=1))
-    )
-    # Two corners of a triangle in a ring are on one line; the third ends a diagonal.
-    third = ((line == np.roll(line, -1, axis=1)).argmax(axis=1) + 2)[ring] % 3
-    first_node, pair = line[ring, third], line[ring, third - 1]
-    quad = np.full(len(line), around * per_line)
-    quad[ring] = (
-        np.where(first_node == (pair + 1) % around, pair, first_node) * per_line + inner_place[ring]
-    )
+    no_quadrangle = around * (per_line + 1)
+    quad = np.full(len(body.columns), no_quadrangle)
     turned_columns = body.columns.copy()
-    turned_columns[ring, third] += np.where(ring_place[ring, third] == inner_place[ring], 1, -1)
+    _turn_ring_diagonals(body.columns, around, per_line, quad, turned_columns)
+    _turn_edge_diagonals(body, around, per_line, quad, turned_columns)
 
     def split(columns: Ints) -> tuple[tuple[Ints, Ints], Floats]:
         cells, parent = tetrahedra = _split(surfaces, replace(body, columns=columns), number)
-        worst = np.ones(around * per_line + 1)
+        worst = np.ones(no_quadrangle + 1)
         np.minimum.at(worst, quad[parent], sicn(nodes.x, cells))
         return tetrahedra, worst
 
     tetrahedra, worst = split(body.columns)
-    if worst[:-1].min() >= POOR:
+    if worst[:no_quadrangle].min() >= POOR:
         return tetrahedra
     is_better = (worst < POOR) & (split(turned_columns)[1] > worst)
     return split(np.where(is_better[quad, None], turned_columns, body.columns))[0]
+
+
+def _turn_ring_diagonals(
+    columns: Ints, around: int, per_line: int, quad: Ints, turned_columns: Ints
+) -> None:
+    """Number the quadrangles of the rings, and turn their diagonals, in place.
+
+    Args:
+        columns: Columns of the prisms (p, 3).
+        around: Number of lines around.
+        per_line: Columns on each line.
+        quad: Number of the quadrangle of each prism (p,): that of its first column.
+        turned_columns: Columns of the prisms with other diagonals (p, 3).
+    """
+    line, ring_place = np.divmod(columns, per_line)
+    inner_place = ring_place.min(axis=1)
+    ring = np.flatnonzero(
+        (columns < around * per_line).all(axis=1) & (inner_place < ring_place.max(axis=1))
+    )
+    # Two corners of a triangle in a ring are on one line; the third ends a diagonal.
+    third = ((line == np.roll(line, -1, axis=1)).argmax(axis=1) + 2)[ring] % 3
+    first_node, pair = line[ring, third], line[ring, third - 1]
+    quad[ring] = (
+        np.where(first_node == (pair + 1) % around, pair, first_node) * per_line + inner_place[ring]
+    )
+    turned_columns[ring, third] += np.where(ring_place[ring, third] == inner_place[ring], 1, -1)
+
+
+def _turn_edge_diagonals(
+    body: ReferenceBody, around: int, per_line: int, quad: Ints, turned_columns: Ints
+) -> None:
+    """Number the quadrangles at the edge of the core, and turn their diagonals, in place.
+
+    The cells of a triangle between three neighbouring lines are flat where its corners are on a
+    plane face of the stem. With the triangle inside it, it is a quadrangle, whose other diagonal
+    ends on the middle line. That line gives the number. Arguments: see `_turn_ring_diagonals`.
+    """
+    columns = body.columns
+    on_edge = (columns < around * per_line) & (columns % per_line == 0)
+    corners_on_edge = on_edge.sum(axis=1)
+    outer, inner = (np.flatnonzero(corners_on_edge == count) for count in (3, 2))
+    # The middle one of three lines is one step from both others.
+    line = columns[outer] // per_line
+    steps = (line[:, :, None] - line[:, None, :]) % around
+    is_middle = ((steps == 1).any(axis=2)) & ((steps == around - 1).any(axis=2))
+    outer, is_middle = outer[is_middle.any(axis=1)], is_middle[is_middle.any(axis=1)]
+    middle_column = columns[outer][is_middle]
+    ends = np.sort(columns[outer][~is_middle].reshape(-1, 2), axis=1)
+    shared_ends = np.sort(columns[inner][on_edge[inner]].reshape(-1, 2), axis=1)
+    apex_column = columns[inner][~on_edge[inner]]
+    _, of_outer, of_inner = np.intersect1d(
+        _edge_keys(body.slab[outer], ends, columns.max() + 1),
+        _edge_keys(body.slab[inner], shared_ends, columns.max() + 1),
+        return_indices=True,
+    )
+    first_end, second_end = ends[of_outer].T
+    middle, apex = middle_column[of_outer], apex_column[of_inner]
+    turned_columns[outer[of_outer]] = np.stack([first_end, middle, apex], axis=1)
+    turned_columns[inner[of_inner]] = np.stack([middle, second_end, apex], axis=1)
+    quad[outer[of_outer]] = quad[inner[of_inner]] = around * per_line + middle // per_line
+
+
+def _edge_keys(slab: Ints, ends: Ints, column_count: int) -> Ints:
+    """Distinct number of each edge between two columns (n, 2) in a layer (n,)."""
+    return (slab * column_count + ends[:, 0]) * column_count + ends[:, 1]
 
 
 def _split(surfaces: LayeredSurfaces, body: ReferenceBody, number: Ints) -> tuple[Ints, Ints]:

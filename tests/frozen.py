@@ -27,7 +27,17 @@ from typing import Any
 from tests import support
 
 FROZEN = support.ROOT / "tests" / "reference" / "frozen.json"
-CASES = ("blocks", "cylinders", "thermal_rings", "intact", "stance", "stance_cocr", "cure")
+CASES = (
+    "blocks",
+    "cylinders",
+    "thermal_rings",
+    "intact",
+    "stance",
+    "stance_cocr",
+    "pressed",
+    "collar",
+    "cure",
+)
 LONG = ("thermal_100C", "residual", "variations")
 # Numbers that depend on the machine, on its load, or on rounding alone.
 VOLATILE = ("timing", "cpu", "memory", "balance", "force_error", "solver", "mantle")

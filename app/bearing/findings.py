@@ -8,12 +8,12 @@ from app.bearing.laws import wear_coefficient_of
 from app.case.case import Case
 from app.case.checks import check
 from app.case.summary import Summary
+from app.foundation.layout import percent, two_digits
 from app.foundation.verdict import Severity, Verdict
 from app.laws.loads import Load
 from app.laws.motions import Motion
 from app.results.verdicts import result_verdict
 from app.schema.yaml_file import Fault
-from app.system.layout import percent, two_digits
 
 
 @check("interfaces")

@@ -35,12 +35,12 @@ from app.campaigns import scheduler
 from app.campaigns.runs import BatchRun, Result, result_of, runs_of, tail
 from app.case.case import PlannedRun, dump, plain_data
 from app.case.variations import shared_and_varied
+from app.foundation import layout
 from app.foundation.errors import EnvironmentProblem, InputError, StoppedError
+from app.foundation.layout import duration, several
 from app.schema import yaml_file
 from app.soundness import cost, memory
-from app.system import layout
 from app.system.folders import FAILED_FILE, claim, write_json, write_text
-from app.system.layout import duration, several
 
 log = logging.getLogger("mantle")
 

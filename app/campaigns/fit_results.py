@@ -17,11 +17,12 @@ from app.campaigns.runs import Result, reason
 from app.case import points, quantities
 from app.case.fit import FitProblem
 from app.case.points import short_keys
+from app.foundation import layout
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
 from app.foundation.verdict import Verdict
 from app.schema.yaml_file import Fault
-from app.system import identity, layout
+from app.system import identity
 from app.system.folders import csv_text
 
 # Half width of a 95 % interval [standard uncertainties].
@@ -393,8 +394,10 @@ def key_rows(fit_record: FitRecord) -> tuple[list[str], list[list[str]]]:
     for key, row in fit_record["keys"].items():
         cells = [key, f"{row['number']:.4g}", row["unit"]]
         if fit_record["aim"] == "targets":
-            is_known = row["uncertainty"] is not None
-            cells.append(f"{row['uncertainty']:.2g}" if is_known else "not determined")
+            uncertainty = row["uncertainty"]
+            cells.append(
+                "not determined" if uncertainty is None else layout.two_digits(uncertainty)
+            )
             cells.append(" to ".join(f"{end:.4g}" for end in row["interval"]) or "-")
         rows.append([*cells, f"{row['low']:.4g} to {row['high']:.4g}"])
     return head, rows

@@ -13,6 +13,7 @@ from app.case.fit import FitProblem
 from app.case.points import short_keys
 from app.foundation.arrays import Floats
 from app.foundation.errors import ConvergenceError, UnusableError, worst_error
+from app.foundation.layout import two_digits
 from app.foundation.verdict import Severity, Verdict, recorded, texts_of
 
 # Deviation from its target that makes a number doubtful [standard uncertainties].
@@ -112,8 +113,8 @@ def _of_knowledge(problem: FitProblem, identified: Identifiability) -> Iterator[
             lower_bound, upper_bound = fit.keys[full_keys[k]].low, fit.keys[full_keys[k]].high
             statement = (
                 f"the targets do not determine it: from one bound to the other ({lower_bound} to"
-                f" {upper_bound}) "
-                f"the numbers change by {identified.influence[k]:.2g} of their uncertainties"
+                f" {upper_bound}) the numbers change by {two_digits(identified.influence[k])} of"
+                " their uncertainties"
             )
             yield Verdict(
                 statement,

@@ -19,9 +19,9 @@ from app.case import study as study_file
 from app.case.case import Case, PlannedRun
 from app.case.study import Study
 from app.foundation.errors import InputError, worst_error
+from app.foundation.layout import duration, percent
 from app.schema.yaml_file import key_parts
 from app.system import folders
-from app.system.layout import duration, percent
 
 log = logging.getLogger("mantle")
 

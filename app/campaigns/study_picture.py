@@ -13,10 +13,10 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from app.campaigns.study_report import Measured, Report, exponent_text
 from app.campaigns.work_precision import NOT_CONVERGING
 from app.case.quantities import label_and_unit, label_with_unit
+from app.foundation.layout import percent
 from app.plots import curves, figures, labels
 from app.plots.curves import Line
 from app.plots.figures import PNG
-from app.system.layout import percent
 
 # Files of errors against time, and of quantities over a number that varies.
 PICTURE_FILES = ("study.png", "study_parameters.png")

@@ -9,9 +9,9 @@ from pathlib import Path
 from app.campaigns.runs import Result
 from app.campaigns.work_precision import HIGHEST_ORDER, NOT_CONVERGING, ErrorPoint, ReferenceValue
 from app.case.quantities import Quantity
-from app.system import layout
+from app.foundation import layout
+from app.foundation.layout import duration, percent
 from app.system.folders import csv_text, write_json, write_text
-from app.system.layout import duration, percent
 
 # Absolute exponent below which the error does not depend on the key.
 FLAT_EXPONENT = 0.05

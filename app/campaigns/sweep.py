@@ -21,12 +21,13 @@ from app.campaigns.batch import Options
 from app.campaigns.runs import Result, reason
 from app.campaigns.uncertainty import PartSpread
 from app.case import sweep as sweep_file
+from app.foundation import layout
 from app.foundation.errors import worst_error
 from app.results import run_table
 from app.results.run_table import SweepRow
 from app.results.verdicts import UNUSABLE
 from app.schema import yaml_file
-from app.system import identity, layout
+from app.system import identity
 from app.system.folders import write_json, write_text
 
 log = logging.getLogger("mantle")

@@ -10,10 +10,10 @@ import numpy as np
 
 from app.case import quantities
 from app.case.points import UncertainInputs, short_keys
+from app.foundation import layout
 from app.foundation.arrays import Floats
 from app.results.run_table import SweepRow
 from app.schema.units import NUMBER
-from app.system import layout
 
 # Fewest samples that define a spread.
 FEWEST_SAMPLES = 3

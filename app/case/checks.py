@@ -14,6 +14,7 @@ from app.case.probes import StrainGauge
 from app.case.quantities import ADDED, PARTS, names_of_run_numbers
 from app.case.run_options import STAGE_KINDS, OutputOptions, Stage, TimeOptions
 from app.case.shapes import COMPANION, MOST_LINES, MeshOptions, Shape
+from app.foundation.layout import two_digits
 from app.foundation.verdict import Reason
 from app.laws.heat_conditions import HeatCondition
 from app.laws.interface_laws import InterfaceLaw
@@ -280,10 +281,8 @@ def _lines(geometry: Shape, mesh: MeshOptions) -> Iterable[Fault]:
                 f"{distance_around:g} mm: the section of the stem has a perimeter of {length:.3g}"
                 " mm"
             )
-            expected_distance = (
-                f"expected {shortest:.2g} to {largest_distance:.3g} mm, or a number of lines"
-            )
-            yield Fault(("mesh", "around"), f"{message}; {expected_distance}")
+            expected_distance = f"expected {two_digits(shortest)} to {largest_distance:.3g} mm"
+            yield Fault(("mesh", "around"), f"{message}; {expected_distance}, or a number of lines")
     distance_along, largest_distance = mesh.along, geometry.coarsest_size
     if distance_along and length and distance_along > largest_distance:
         message = (

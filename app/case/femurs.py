@@ -13,6 +13,7 @@ from app.case.shapes import MeshOptions, Point3, range_of_thickness
 from app.case.stems import Stem, StemFile, length
 from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
+from app.foundation.layout import alternatives
 from app.foundation.verdict import Verdict
 from app.schema.section import Kinds, Section, fail
 from app.schema.units import Angle, Dimension, Length
@@ -192,13 +193,17 @@ class _Femur(Hip):
     @property
     def more_room(self) -> tuple[str, str]:
         """Key of the stem's position, and the advice if the stem does not fit."""
-        remedy = f"{self.wider_canal}narrow the stem or move it proximally (tip_z)"
-        return "geometry", remedy
+        remedies = (
+            *self.ways_to_widen_canal,
+            "narrow the stem",
+            "move it proximally (tip_z)",
+        )
+        return "geometry", alternatives(remedies)
 
     @property
-    def wider_canal(self) -> str:
-        """Start of the advice where a stem has no room."""
-        return "widen the canal (canal_widening), "
+    def ways_to_widen_canal(self) -> tuple[str, ...]:
+        """The key that widens the canal."""
+        return ("widen the canal (canal_widening)",)
 
     def surfaces(self, mesh: MeshOptions) -> LayeredSurfaces:
         """The nested surfaces that are meshed."""
@@ -271,8 +276,12 @@ class Femur(_Femur, OperatedHip):
         """Key of the stem's position, and the advice if the stem does not fit."""
         if not self.insertion:
             return super().more_room
-        text = f"change insertion (insertion: best, or mantle place), {self.wider_canal}"
-        return "geometry.insertion", f"{text}or use a smaller or shorter stem"
+        remedies = (
+            "change insertion (insertion: best, or mantle place)",
+            *self.ways_to_widen_canal,
+            "use a smaller or shorter stem",
+        )
+        return "geometry.insertion", alternatives(remedies)
 
     @property
     def details(self) -> dict[str, str]:

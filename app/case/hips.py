@@ -500,8 +500,8 @@ class OperatedHip(Hip):
         raise NotImplementedError
 
     @property
-    def wider_canal(self) -> str:
-        """Start of the advice where a stem has no room: how to widen the canal, or empty."""
+    def ways_to_widen_canal(self) -> tuple[str, ...]:
+        """Ways to widen the canal, if there is one, for the advice if the stem does not fit."""
         raise NotImplementedError
 
     @property

@@ -8,8 +8,8 @@ import numpy as np
 
 from app.case.case import Case
 from app.case.hips import Hip
+from app.foundation import layout
 from app.laws.values import amplitude
-from app.system import layout
 
 # The highest level [mm], below the insertions at the greater trochanter.
 TOP = 25.0

@@ -12,9 +12,9 @@ from typing import Annotated
 from pydantic import BeforeValidator
 
 from app.case.points import short_keys
+from app.foundation.layout import plain_text
 from app.schema.section import MAPPING, Name, did_you_mean, fail, show
 from app.schema.yaml_file import CaseFile, YamlMapping, key_parts
-from app.system.layout import plain_text
 
 OF_LOADS = ("force", "at", "pressure", "density", "history", "status", "source")
 OF_SOLVER = ("augmentation_factor",)

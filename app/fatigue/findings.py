@@ -9,13 +9,13 @@ from app.case.case import Case
 from app.case.checks import check
 from app.case.summary import Numbers, Summary, added_section
 from app.fatigue.laws import fatigue_of, level_of, stem_test_of
+from app.foundation.layout import two_digits
 from app.foundation.verdict import Severity, Verdict, note
 from app.results.verdicts import result_verdict
 from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault
 from app.soundness.preview import from_memory, input_note
 from app.soundness.result_notes import result_note
-from app.system.layout import two_digits
 
 
 @check("fatigue", "stages")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from app.system.layout import count
+from app.foundation.layout import count
 
 # Unknowns of displacement of second order up to which one solve is faster condensed.
 SECOND_ORDER_LIMIT = 60_000

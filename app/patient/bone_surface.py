@@ -13,6 +13,7 @@ import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import GeometryError
+from app.foundation.layout import alternatives, two_digits
 from app.patient import label_surface, surface_files, welding
 from app.patient.welding import Welded
 from meshes.data import connected
@@ -107,11 +108,11 @@ def read(
         name for name, scale in LENGTH_UNITS.items() if least_length <= extent * scale <= EXTENT[1]
     ]
     if unit not in (None, *fitting_units) or not (unit or len(fitting_units) == 1):
-        content, remedy = "", f"set its unit to {' or '.join(fitting_units or LENGTH_UNITS)}"
+        content, remedy = "", f"set its unit to {alternatives(fitting_units or [*LENGTH_UNITS])}"
         if label is not None:
             content, remedy = f"label {label} ", "give the label of the femur"
             if fitting_units:
-                names = " or ".join(fitting_units)
+                names = alternatives(fitting_units)
                 remedy = f"is the unit of the image {names}? Write it in mm, or {remedy}"
         raise GeometryError(
             f"{path}: {content}is {extent:.4g} {unit or 'units'} long, but a proximal femur is"
@@ -220,8 +221,8 @@ def _unjoined(surface: Welded, edges: _Edges) -> str:
     single_count = int((edges.counts == 1).sum())
     return (
         f"{single_count:,} of {len(edges.counts):,} edges belong to one triangle only, and their"
-        f" corners are {welding.apart(surface):.2g} mm from the next; merge close vertices in the"
-        " program that wrote it"
+        f" corners are {two_digits(welding.apart(surface))} mm from the next; merge"
+        " close vertices in the program that wrote it"
     )
 
 

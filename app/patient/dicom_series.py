@@ -17,8 +17,8 @@ import numpy as np
 
 from app.foundation.errors import InputError
 from app.foundation.files import files_at
+from app.foundation.layout import shortened_list, times_text
 from app.patient.voxels import Voxels
-from app.system.layout import shortened_list, times_text
 
 STEP_TOLERANCE = 0.1  # largest distance of a slice from its even place, as a part of the step
 SAME_PLACE = 0.01  # mm: slices that are nearer are at one place

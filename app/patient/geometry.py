@@ -23,6 +23,7 @@ from app.case.stems import Stem, StemFile
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError, InputError
 from app.foundation.implant import Implant
+from app.foundation.layout import alternatives
 from app.schema.paths import file
 from app.schema.section import Kinds, Pair, Section, Triple, fail
 from app.schema.units import Length, Number, Plain, PositiveLength
@@ -289,13 +290,17 @@ class Patient(OperatedHip):
     @property
     def more_room(self) -> tuple[str, str]:
         """Key of the stem's position, and the remedies where the stem has no room."""
-        remedy = f"{self.wider_canal}use a smaller or shorter stem, or change varus and offsets"
-        return "geometry.insertion", f"{remedy} (insertion: best, or mantle place)"
+        remedies = (
+            *self.ways_to_widen_canal,
+            "use a smaller or shorter stem",
+            "change varus and offsets (insertion: best, or mantle place)",
+        )
+        return "geometry.insertion", alternatives(remedies)
 
     @property
-    def wider_canal(self) -> str:
-        """Start of the advice where a stem has no room; empty if the canal is broached."""
-        return "" if self.canal.ream == "broach" else "ream (canal.ream: broach), "
+    def ways_to_widen_canal(self) -> tuple[str, ...]:
+        """The key that reams the canal; none if it is broached."""
+        return () if self.canal.ream == "broach" else ("ream (canal.ream: broach)",)
 
     def surfaces(self, mesh: MeshOptions) -> LayeredSurfaces:
         """The nested surfaces that are checked and meshed, kept by the content of its files."""

@@ -10,6 +10,7 @@ from pydantic import model_validator
 
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
+from app.foundation.layout import two_digits
 from app.laws.densities import LEAST_DENSITY, Law, ModulusField, modulus_of_density, table_of
 from app.patient.geometry import ImageFile, Patient
 from app.schema.section import Section, Text, fail
@@ -81,7 +82,9 @@ class ImageModulus(ModulusField):
             fail(f"gives no positive modulus at {LEAST_DENSITY} g/cm3", at=("law",))
         if not SOFTEST < self.largest < STIFFEST:
             number = image.percentile_99_9
-            fault = f"the largest CT number, {number:g}, gives E = {self.largest / 1e3:.2g} GPa"
+            fault = (
+                f"the largest CT number, {number:g}, gives E = {two_digits(self.largest / 1e3)} GPa"
+            )
             fault += (
                 f"; expected {SOFTEST / 1e3:g} to {STIFFEST / 1e3:g} GPa. Is the unit wrong, or"
             )
@@ -185,8 +188,9 @@ class ImageModulus(ModulusField):
         doubt = f"{name}: the median of E {SURFACE_DEPTH:g} mm below the bone's surface is"
         if median < SOFT_CORTEX:
             notes.append(
-                f"{doubt} {median / 1e3:.2g} GPa; expected more than {SOFT_CORTEX / 1e3:g} GPa. Is"
-                " the CT mirrored or moved against the bone, or is the calibration wrong?"
+                f"{doubt} {two_digits(median / 1e3)} GPa; expected more than"
+                f" {SOFT_CORTEX / 1e3:g} GPa. Is the CT mirrored or moved against the bone, or is"
+                " the calibration wrong?"
             )
         if median > STIFF_CORTEX:
             expected = f"expected less than {STIFF_CORTEX / 1e3:g} GPa"

@@ -21,10 +21,10 @@ from scipy import ndimage
 from app.foundation.arrays import Bools, Floats
 from app.foundation.errors import InputError
 from app.foundation.files import files_at
+from app.foundation.layout import times_text
 from app.patient import dicom_segmentation, dicom_series, nrrd
 from app.patient.foreign_formats import WRAPPED, ForeignFormats, foreign_format, vtk_formats
 from app.patient.voxels import LabelSegment, Voxels
-from app.system.layout import times_text
 
 HALF_VOXEL = 0.5 + 1e-6  # edges from the middle of a voxel to its end
 MOST_TILT = 0.01  # largest cosine of the angle between edges of voxels

@@ -14,8 +14,8 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from app.foundation.errors import InputError
+from app.foundation.layout import shortened_list
 from app.patient import label_image
-from app.system.layout import shortened_list
 
 # Numbers of the femora in multi-label files of TotalSegmentator, and those of the hip bones, by
 # which a version is recognized.

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from app.foundation.arrays import Bools, Floats, Ints
+from app.foundation.layout import two_digits
 from meshes.data import connected
 
 Polygon = Sequence[int]
@@ -198,7 +199,7 @@ def _welded_wider(surface: Welded, weld_distance: float) -> Welded:
     largest_move = float(np.linalg.norm(points[merged_rows] - surface.points, axis=1).max())
     merged_count = int((representative[rim] != rim).sum())
     merged_text = (
-        f"{merged_count:,} corners within {wider_distance:.2g} mm of another merged with it"
+        f"{merged_count:,} corners within {two_digits(wider_distance)} mm of another merged with it"
     )
     notes = [*surface.notes, f"{merged_text}, moved by at most {largest_move:.1g} mm"]
     return _without_repeats(Welded(points, merged_rows[surface.triangles], notes))

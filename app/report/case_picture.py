@@ -21,13 +21,13 @@ from matplotlib.colors import to_rgb
 
 from app.case.case import Case
 from app.foundation.arrays import Floats, Ints
+from app.foundation.layout import plain_text
 from app.laws.heat_conditions import HeatCondition
 from app.laws.supports import AnySupport
 from app.plots import figures, sections
 from app.plots.figures import COLOURS, PNG, handles
 from app.plots.sections import AXES
 from app.soundness import preview
-from app.system.layout import plain_text
 from meshes.data import (
     MeshData,
     cell_volumes,

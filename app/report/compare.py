@@ -9,6 +9,7 @@ from pathlib import Path
 from app.case import quantities
 from app.case.summary import Summary
 from app.foundation.errors import InputError, StoppedError
+from app.foundation.layout import noted, plain_text, several, two_digits
 from app.foundation.verdict import Severity, recorded
 from app.plots.curves import Panel, drawing
 from app.report import (
@@ -26,7 +27,6 @@ from app.report.page import Block, LargeNumber, PageSection, bullets, table
 from app.report.sweep_results import Json, SweptCase, headlines
 from app.results.verdicts import notes_of
 from app.system.folders import write_text
-from app.system.layout import noted, plain_text, several, two_digits
 
 # Largest number of runs of a page: a browser draws about sixteen views.
 MOST_RUNS = 8

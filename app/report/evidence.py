@@ -21,6 +21,7 @@ from app.case.library import ORIGIN
 from app.case.quantities import TABLE
 from app.case.summary import Summary
 from app.foundation.errors import InputError
+from app.foundation.layout import plain_text, several
 from app.foundation.verdict import Severity, recorded
 from app.laws.loads import AnyLoad
 from app.laws.materials import Material
@@ -32,7 +33,6 @@ from app.results.reading import Results
 from app.results.verdicts import CONTACT, EQUILIBRIUM, HEAT, PEAKS
 from app.schema.section import Section
 from app.system.folders import read_json, write_json, write_text
-from app.system.layout import plain_text, several
 
 if TYPE_CHECKING:
     from app.results.run_folder import Provenance

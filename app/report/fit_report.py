@@ -14,6 +14,7 @@ from app.campaigns.fit_results import FitRecord, FitRow
 from app.case import quantities
 from app.case.points import short_keys
 from app.foundation.errors import InputError, StoppedError
+from app.foundation.layout import duration, several, two_digits
 from app.foundation.verdict import Severity, recorded, texts_of
 from app.plots import curves, figures
 from app.plots.curves import Line
@@ -21,7 +22,6 @@ from app.plots.figures import PNG
 from app.report import page
 from app.report.page import Cell, Figure, LargeNumber, Link, PageSection, bullets, folded, table
 from app.system.folders import read_json, write_text
-from app.system.layout import duration, several, two_digits
 
 # Content, page and picture in the folder of a fit.
 RECORD = "fit.json"

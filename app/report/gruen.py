@@ -8,6 +8,7 @@ from pathlib import Path
 
 from app.case.quantities import TABLE
 from app.case.summary import Numbers, Zone
+from app.foundation.layout import two_digits
 from app.plots import figures
 from app.report import page
 from app.report.page import Block, Figure
@@ -19,7 +20,6 @@ from app.report.sweep_results import (
     SweptCase,
     magnitude,
 )
-from app.system.layout import two_digits
 
 # Last zone of the frontal view; higher numbers belong to the lateral view.
 FRONTAL = 7

@@ -12,9 +12,9 @@ from app.campaigns import uncertainty
 from app.case.quantities import TABLE, Quantity, label_with_unit, numbers_of
 from app.case.summary import Numbers
 from app.foundation.errors import InputError
+from app.foundation.layout import plain_text, two_digits
 from app.report.sweep_keys import key_in_words
 from app.report.sweep_results import SweptCase, read
-from app.system.layout import plain_text, two_digits
 
 # Fewest samples for a 5th and a 95th percentile.
 FEWEST_SAMPLES = 10

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
+from app.foundation.layout import plain_text
 from app.plots.curves import Drawing
 from app.plots.figures import SUFFIXES
-from app.system.layout import plain_text
 
 # CSS class, which sets the colour, of a word at the beginning of a text.
 CLASSES = {

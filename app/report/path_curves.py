@@ -10,6 +10,7 @@ import numpy as np
 
 from app.case.quantities import FACTOR_OF_UNIT, printed
 from app.foundation.arrays import Floats
+from app.foundation.layout import plain_text
 from app.plots.curves import ROUNDED, Line, Panel, drawing
 from app.report import page
 from app.report.page import Block, bullets
@@ -17,7 +18,6 @@ from app.report.sweep_results import SweptCase, named
 from app.results.path_tables import ARC, PLACES, REGION
 from app.results.reading import PathTable
 from app.scene.path_fields import field_of
-from app.system.layout import plain_text
 
 # Largest number of steps of a run in one panel.
 MOST_STEPS = 5

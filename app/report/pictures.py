@@ -29,6 +29,7 @@ from app.case.geometries import Sides
 from app.case.quantities import INTERFACE_FIELDS
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import MantleError
+from app.foundation.layout import alternatives
 from app.plots import figures
 from app.plots import maps as plane
 from app.plots.figures import HEAT_COLOURS, LOADED, SEQUENTIAL, SIGNED
@@ -462,7 +463,7 @@ def sides(run: Run, folder: Path) -> list[Figure]:
     figures.save_figure(figure, folder / f"{PICTURE_OF_SIDES}.png", 130)
     interface_names = " and ".join(name.replace("_", "-") for name in side_of_interface)
     motions = dict.fromkeys(next(iter(_on_sides(run, name))) for name in side_of_interface)
-    motion_words = " or ".join(motions).capitalize()
+    motion_words = alternatives([*motions]).capitalize()
     caption = (
         f"{motion_words}, gap and contact pressure at the end, on the inner body of each "
         f"interface. Colours end at the {CLIP:g}th percentile; the labels have the largest values"

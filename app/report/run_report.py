@@ -27,6 +27,7 @@ from app.case.quantities import TABLE, Quantity, in_print, printed
 from app.case.summary import Numbers, Summary, name_of_implant
 from app.foundation.collective import distribute_tasks, on_root
 from app.foundation.errors import InputError, MantleError, StoppedError
+from app.foundation.layout import noted, plain_text
 from app.foundation.verdict import Severity, recorded
 from app.plots import curves, figures
 from app.report import (
@@ -50,7 +51,6 @@ from app.results.reading import Run
 from app.results.verdicts import UNUSABLE
 from app.system import folders
 from app.system.folders import CASE_PICTURE, write_text
-from app.system.layout import noted, plain_text
 from app.system.ranks import rank
 
 # Name of the page in the folder of a run.

@@ -11,12 +11,12 @@ from app.case.case import Case
 from app.case.quantities import FACTOR_OF_UNIT, TABLE, TENSION_LEVELS, printed
 from app.case.summary import Summary
 from app.foundation.arrays import Floats
+from app.foundation.layout import plain_text
 from app.plots.curves import ROUNDED, Line, Panel, sparse
 from app.report import page
 from app.report.page import Block
 from app.report.sweep_results import named
 from app.scene.scene import build_scene
-from app.system.layout import plain_text
 
 # Title and printed unit of the quantities drawn, by key in history.csv.
 BEFORE = {

@@ -8,12 +8,12 @@ from pathlib import Path
 
 from app.campaigns import uncertainty
 from app.foundation.errors import StoppedError
+from app.foundation.layout import duration, noted
 from app.report import gruen, lead, page, pictures, sweep_figures, sweep_tables
 from app.report.page import Block, PageSection, bullets, table
 from app.report.sweep_results import STATUSES, SweepResults, SweptCase, by_part, headlines, read
 from app.report.viewer import viewer
 from app.system.folders import remove, write_text
-from app.system.layout import duration, noted
 
 # Name of the page in the folder of a sweep.
 PAGE = "report.html"

@@ -15,12 +15,12 @@ from app.case.quantities import NOT_RESOLVED
 from app.case.summary import Summary
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
+from app.foundation.layout import two_digits
 from app.plots.curves import ROUNDED
 from app.results.reading import PathTable, Results
 from app.results.verdicts import UNUSABLE
 from app.schema.units import NUMBER
 from app.system.folders import read_json
-from app.system.layout import two_digits
 
 INTERFACES = ("cement_bone", "stem_cement", "stem_bone")
 # Of each contact quantity: the percentile that converges, its unit for people, factor, words.

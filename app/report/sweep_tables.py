@@ -9,11 +9,11 @@ from urllib.parse import quote
 
 from app.campaigns.uncertainty import correlation
 from app.case import quantities
+from app.foundation import layout
 from app.report import page
 from app.report.page import Block, Cell, Link
 from app.report.sweep_keys import key_in_words, level_text, levels_of, varied_keys
 from app.report.sweep_results import SweptCase, by_part, headlines, is_varying
-from app.system import layout
 
 # Largest number of columns of results in the table of cases.
 MOST_NUMBERS = 11

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 from app.case.quantities import ADDED, NECROSIS, NOT_RESOLVED, TABLE, numbers_of
 from app.case.summary import Numbers, Summary, name_of_implant
+from app.foundation import layout
 from app.foundation.verdict import Severity, recorded
 from app.results.cycles import sentences
 from app.results.verdicts import ERRORS
-from app.system import layout
 
 if TYPE_CHECKING:
     from app.stepping.heat_state import HeatStep

@@ -10,8 +10,8 @@ from typing import TypedDict
 from app.case import quantities
 from app.case.points import Point
 from app.case.summary import Summary
+from app.foundation import layout
 from app.results.verdicts import notes_of
-from app.system import layout
 from app.system.folders import csv_text, write_json, write_text
 
 

@@ -13,10 +13,10 @@ from app.case import quantities
 from app.case.quantities import TABLE, in_print
 from app.case.summary import Numbers, Summary
 from app.foundation.errors import UnusableError
+from app.foundation.layout import count, several, two_digits
 from app.foundation.verdict import Severity, Verdict, recorded, texts_of
 from app.results.damage import RESOLVED
 from app.results.error_estimate import is_zero, largest_of_units
-from app.system.layout import count, several, two_digits
 
 # Status of solved cases whose numbers are not to be used.
 UNUSABLE = "do not use"

@@ -15,13 +15,13 @@ from dolfinx.common import IndexMap
 
 from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import InputError
+from app.foundation.layout import point_text
 from app.interfaces.corners import VertexConstraints
 from app.interfaces.faces import projectors
 from app.interfaces.interface_facets import InterfaceFacets, gathered_arrays
 from app.laws.supports import Support
 from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_nodes
 from app.scene.scene import Scene
-from app.system.layout import point_text
 from meshes.distribute import TaggedMesh
 from meshes.facets import NODES, facet_shape_functions, nodal_normals
 

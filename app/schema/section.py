@@ -26,6 +26,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError, core_schema
 
+from app.foundation.layout import alternatives
 from app.schema.yaml_file import SECTION_ABOVE, Fault, Path
 
 # Prefix of tags that pydantic puts into the path of an error for a member of a union. Such tags are
@@ -231,8 +232,9 @@ def did_you_mean(word: str, known: Sequence[str]) -> str:
     with_this_start = [k for k in known if len(word) > 2 and k.lower().startswith(word)][:3]
     nearest = difflib.get_close_matches(word, by_lowercase, 1)
     suggestions = with_this_start or [by_lowercase[match] for match in nearest]
-    suggestion_text = " or ".join(f"'{k}'" for k in suggestions)
-    return f"; did you mean {suggestion_text}?" if suggestions else ""
+    if not suggestions:
+        return ""
+    return f"; did you mean {alternatives([repr(k) for k in suggestions])}?"
 
 
 def _name(value: object) -> object:

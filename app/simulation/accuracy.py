@@ -21,11 +21,11 @@ from app.case.quantities import TABLE, label_and_unit
 from app.case.summary import EstimatedErrors, Summary
 from app.foundation.collective import agree
 from app.foundation.errors import ConvergenceError, GeometryError, StoppedError
+from app.foundation.layout import duration, percent
 from app.results import error_estimate
 from app.results.error_estimate import Companion, Orders, is_zero, largest_of_units
 from app.simulation.model import Model
 from app.soundness import cost, memory
-from app.system.layout import duration, percent
 from app.system.timing import Timing
 
 log = logging.getLogger("mantle")

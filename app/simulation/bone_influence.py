@@ -14,9 +14,9 @@ from app.case.quantities import TABLE, numbers_of
 from app.case.summary import BoneInfluence, Summary
 from app.foundation.collective import agree
 from app.foundation.errors import ConvergenceError, GeometryError
+from app.foundation.layout import percent
 from app.results.error_estimate import largest_of_units
 from app.simulation.model import Model
-from app.system.layout import percent
 
 log = logging.getLogger("mantle")
 

@@ -27,11 +27,11 @@ from app.case.case import Case, plain_data
 from app.foundation.collective import everywhere, on_root
 from app.foundation.errors import InputError
 from app.foundation.files import write_bytes
+from app.foundation.layout import several
 from app.numerics.saved_state import Array, Rows, collect, restore, restored_object
 from app.simulation.model import Model
 from app.simulation.recorder import Recorder
 from app.system import folders
-from app.system.layout import several
 
 log = logging.getLogger("mantle")
 

@@ -18,6 +18,7 @@ from app.case.run_options import CheckpointOptions
 from app.case.summary import Summary
 from app.foundation.collective import agree, on_root
 from app.foundation.errors import ConvergenceError, EnvironmentProblem, StoppedError
+from app.foundation.layout import count, several
 from app.foundation.verdict import Severity, Verdict, note
 from app.numerics import lifetime
 from app.numerics.krylov import condition_number
@@ -34,7 +35,6 @@ from app.soundness import preview, result_notes
 from app.stepping.load_steps import Effort
 from app.system import form_cache, ranks, stopping
 from app.system.folders import FAILED_FILE, claim, prepare_run, remove, saved, write_text
-from app.system.layout import count, several
 from app.system.timing import Timing
 
 log = logging.getLogger("mantle")

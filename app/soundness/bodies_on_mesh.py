@@ -18,6 +18,7 @@ import numpy as np
 
 from app.case.case import Case
 from app.foundation.arrays import Floats, Ints
+from app.foundation.layout import point_text
 from app.foundation.verdict import Reason, Verdict, note
 from app.laws.interface_laws import InterfaceLaw
 from app.laws.supports import AnySupport
@@ -28,7 +29,6 @@ from app.numerics.rigid_motions import (
     motions_in_words,
     rigid_modes,
 )
-from app.system.layout import point_text
 from meshes.data import connected
 from meshes.pieces import MeshPieces, Piece, Touch
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from app.case.case import Case
+from app.foundation.layout import count, duration
 from app.numerics.choice import SolverChoice
 from app.scene.scene import build_scene
 from app.soundness import mesh_notes
-from app.system.layout import count, duration
 from meshes.data import interface_nodes
 from meshes.shape_functions import GMSH_TETRAHEDRON
 

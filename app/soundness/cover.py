@@ -8,6 +8,7 @@ import numpy as np
 
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import InputError
+from app.foundation.layout import point_text, two_digits
 from app.foundation.verdict import Verdict
 from app.interfaces.interface_facets import gathered_arrays
 from app.mechanics.contact import TrialState
@@ -15,7 +16,6 @@ from app.mechanics.problem import Problem
 from app.numerics.rigid_motions import rigid_modes
 from app.scene.bodies import cell_tags, touched_nodes
 from app.scene.scene import Interface
-from app.system.layout import point_text, two_digits
 
 # A point is beyond the rim of a surface if its distance exceeds this fraction of an edge.
 OFF = 0.25

@@ -24,10 +24,10 @@ from mpi4py import MPI
 import numpy as np
 
 from app.foundation.arrays import Floats
+from app.foundation.layout import point_text, several
 from app.foundation.verdict import Reason, Severity, Verdict
 from app.mechanics.contact import ContactInterfaces
 from app.mechanics.problem import Problem
-from app.system.layout import point_text, several
 
 
 def critical_friction(stiffness: Floats, normals: Floats) -> Floats:

@@ -10,13 +10,13 @@ from mpi4py import MPI
 import numpy as np
 
 from app.foundation.errors import ConvergenceError
+from app.foundation.layout import point_text
 from app.foundation.verdict import Reason, Severity, Verdict
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
 from app.numerics.newton import ActiveSet, NewtonResult, Solver
 from app.soundness import floating_bodies_of_state
 from app.soundness.critical_friction import critical_friction_of_interfaces
-from app.system.layout import point_text
 
 # States of a contact point, by status.
 STATES = ("open", "stick", "slip")

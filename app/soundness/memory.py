@@ -13,6 +13,7 @@ from pathlib import Path
 from app.case.case import Case
 from app.case.geometries import MeshFile
 from app.foundation.errors import EnvironmentProblem
+from app.foundation.layout import rounded_count
 from app.schema.yaml_file import CaseFile, Fault
 from app.soundness import cost
 from app.system.timing import peak_memory
@@ -147,8 +148,9 @@ def check(file: CaseFile, case: Case) -> None:
         return
     cells, unknowns = case.geometry.estimate_cells(case.mesh), cost.estimated_unknowns(case)
     message = (
-        f"makes about {cells:.2g} cells and {unknowns:.2g} unknowns, which need at least "
-        f"{needed_memory / GIGABYTE:.5g} GB; {memory / GIGABYTE:.1f} GB are available"
+        f"makes about {rounded_count(cells)} cells and {rounded_count(unknowns)} unknowns, which"
+        f" need at least {needed_memory / GIGABYTE:.5g} GB;"
+        f" {memory / GIGABYTE:.1f} GB are available"
     )
     if isinstance(case.geometry, MeshFile):
         file.raise_all([Fault(("geometry", "path"), message)])

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from app.case.summary import MantleNumbers
-from app.system.layout import count, percent, plain_text, point_text
+from app.foundation.layout import count, percent, plain_text, point_text
 
 # Notes that have no line: messages are notes of the run, the others repeat a message.
 WITHOUT_LINE = ("messages", "cells_without_region")

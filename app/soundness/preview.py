@@ -14,6 +14,7 @@ from app.case.case import Case
 from app.case.library import ORIGIN
 from app.case.run_options import Stage
 from app.case.section_loads import section_loads, table_of_section_loads
+from app.foundation.layout import plain_text, several
 from app.foundation.verdict import Verdict, note
 from app.laws.cycle_tables import ROTATIONS
 from app.laws.interface_laws import insertion_stages
@@ -21,7 +22,6 @@ from app.laws.values import MEMORY
 from app.scene.scene import build_scene
 from app.schema.section import Section, added_keys, is_given
 from app.soundness.cost import solid
-from app.system.layout import plain_text, several
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterable
 from app.case.case import Case
 from app.case.quantities import maximum_with_parts
 from app.case.summary import Summary
+from app.foundation.layout import two_digits
 from app.foundation.verdict import Verdict, note
 from app.laws.materials import Material
-from app.system.layout import two_digits
 
 # Strain above which small-strain elasticity holds for no material.
 STRAIN = 0.05

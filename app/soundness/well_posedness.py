@@ -19,6 +19,7 @@ from app.case.geometries import MeshFile
 from app.case.probes import StrainGauge
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
+from app.foundation.layout import point_text
 from app.foundation.verdict import Severity, Verdict, note
 from app.heat.nodes import outside_text
 from app.laws.values import ROUNDING_OF_HEIGHTS
@@ -35,7 +36,6 @@ from app.soundness.bodies_on_mesh import (
     pieces_of_bodies,
 )
 from app.soundness.result_notes import STRAIN, smallest_modulus
-from app.system.layout import point_text
 from meshes import location
 from meshes.data import boundary_areas, interface_facets, nodes_of_boundary_facets
 from meshes.gauge_points import GaugeFault, gauge_points

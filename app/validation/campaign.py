@@ -24,9 +24,9 @@ from app.campaigns import batch, uncertainty
 from app.campaigns.batch import Options
 from app.campaigns.runs import Result
 from app.case.case import PlannedRun
+from app.foundation import layout
 from app.foundation.errors import EnvironmentProblem, InputError, worst_error
 from app.results.reading import Results
-from app.system import layout
 from app.system.folders import csv_text, remove, write_json, write_text
 from app.validation import metrics, picture, records
 from app.validation.catalogue import EXPERIMENTS

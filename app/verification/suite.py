@@ -22,8 +22,8 @@ from app.campaigns import batch
 from app.campaigns.batch import Options
 from app.campaigns.runs import Result
 from app.case.case import PlannedRun
+from app.foundation import layout
 from app.foundation.errors import InputError
-from app.system import layout
 from app.system.folders import csv_text, remove, write_json, write_text
 from app.verification import picture
 from app.verification.problem import (

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
+from app.foundation.layout import plain_text
 from app.report.sweep_results import QUANTITIES, Number, SweptCase, named
-from app.system.layout import plain_text
 from docs.paper import cases as paper
 from docs.paper.cases import Cases
 

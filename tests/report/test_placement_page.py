@@ -290,7 +290,7 @@ def test_placement_page_of_a_stem_that_fits_nowhere(
         assert main(["place", str(source), "-o", str(path)]) == 0
         output = capsys.readouterr()
         assert "no position within the limits of the search" in output.err
-        assert "; widen the canal (canal_widening), use a smaller or shorter stem" in output.err
+        assert "; widen the canal (canal_widening), use a smaller or shorter stem or" in output.err
         assert "at the position as given" in output.err and output.out.strip() == str(path)
         head = json.loads(re.search(r'"position": (\{.*?\})', path.read_text("utf-8"))[1])
         assert head["varus"] == pytest.approx(0.0 if insertion == "best" else 1.0)

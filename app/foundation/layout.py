@@ -57,6 +57,17 @@ def count(number: float) -> str:
     return f"{round(number):,}"
 
 
+def rounded_count(number: float) -> str:
+    """Count with two significant digits: 120,000."""
+    return count(float(f"{number:.2g}"))
+
+
+def alternatives(choices: Sequence[str]) -> str:
+    """List of things of which one is enough: a, b or c."""
+    *others, last = choices
+    return f"{', '.join(others)} or {last}" if others else last
+
+
 def several(number: int, noun: str) -> str:
     """Number with its noun, in the plural unless it is one: 1 rank, 2 ranks."""
     return f"{count(number)} {noun}{'' if number == 1 else 's'}"

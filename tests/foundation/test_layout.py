@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.system.layout import percent, plain_text, two_digits
+from app.foundation.layout import alternatives, percent, plain_text, rounded_count, two_digits
 
 
 @pytest.mark.parametrize(
@@ -44,3 +44,15 @@ def test_layout_writes_two_digits_without_an_exponent(number: float, expected: s
 )
 def test_layout_writes_percentages_without_an_exponent(value: float, expected: str) -> None:
     assert percent(value) == expected
+
+
+@pytest.mark.parametrize(("number", "expected"), [(1.234e8, "120,000,000"), (99.6, "100")])
+def test_layout_writes_rounded_counts_without_an_exponent(number: float, expected: str) -> None:
+    assert rounded_count(number) == expected
+
+
+@pytest.mark.parametrize(
+    ("choices", "expected"), [(("a",), "a"), (("a", "b"), "a or b"), (("a", "b", "c"), "a, b or c")]
+)
+def test_layout_lists_alternatives(choices: tuple[str, ...], expected: str) -> None:
+    assert alternatives(choices) == expected
