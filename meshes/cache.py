@@ -22,7 +22,7 @@ from meshes.geometry import GeometryKeys, is_file
 
 log = logging.getLogger("mantle")
 
-MESHER_VERSION = 43  # raise it whenever the same input gives another mesh or other notes
+MESHER_VERSION = 44  # raise it whenever the same input gives another mesh or other notes
 
 
 def mesh_hash(geometry: GeometryKeys, mesh: MeshKeys) -> str:

@@ -16,7 +16,16 @@ from app.case.geometries import Femur, IntactFemur
 from app.case.hips import MUSCLES
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
-from meshes import femur, femur_bone, femur_intact, femur_stem, quality, swept, write_msh
+from meshes import (
+    femur,
+    femur_bone,
+    femur_intact,
+    femur_stem,
+    quality,
+    reference_body,
+    swept,
+    write_msh,
+)
 from meshes.bone_layers import TableLayers
 from meshes.data import (
     exterior_facets,
@@ -30,6 +39,7 @@ from meshes.femur import PATCH_RADIUS
 from meshes.femur_bone import FemurBone
 from meshes.gmsh_session import session
 from meshes.layered_surfaces import LayeredSurfaces as Surfaces
+from meshes.reference_body import Segment
 from meshes.shape_functions import GMSH_TETRAHEDRON
 from tests import support
 from tests.meshes.femurs import built, hip, sized
@@ -446,3 +456,36 @@ def own_digest() -> str:
 def test_swept_mesh_is_equal_on_every_processor(name: str) -> None:
     environ = PROCESSORS.get(name, {"OPENBLAS_CORETYPE": name})
     assert support.python("-c", DIGEST, **environ).stdout.strip() == own_digest()
+
+
+@pytest.mark.parametrize("lines", [16, 32])
+def test_swept_other_diagonals_at_the_edge_of_the_core_fill_it_too(lines: int) -> None:
+    """The rectangle of 16 by 10 mm has triangles between three neighbouring lines at its corners.
+
+    Their other diagonals end on the middle line, and all triangles still fill the rectangle.
+    """
+    place = 8 * np.arange(lines) / lines - 1  # half sides of the rectangle, from a corner on
+    side = np.floor((place + 1) / 2).astype(int)
+    along, end = place - 2 * side, np.ones(lines)
+    outline = np.stack(
+        [
+            8 * np.choose(side, [end, -along, -end, along]),
+            5 * np.choose(side, [along, end, -along, -end]),
+        ],
+        axis=1,
+    )
+    body = reference_body.make(outline, (1,), [Segment(2, ("stem", "bone"))])
+    no_quadrangle = lines * (len(body.rho) + 1)
+    quad, turned_columns = np.full(len(body.columns), no_quadrangle), body.columns.copy()
+    swept._turn_edge_diagonals(body, lines, len(body.rho), quad, turned_columns)
+    is_turned, core = quad < no_quadrangle, body.region == 0
+    assert is_turned.sum() >= 8  # a pair of prisms at two corners or more, in both layers
+    assert np.array_equal(is_turned, (turned_columns != body.columns).any(axis=1))
+    corners = body.section[turned_columns[core]]
+    areas = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 2
+    assert areas.sum() == pytest.approx(2 * 16 * 10, rel=1e-12)
+    turned_lines = turned_columns[is_turned] // len(body.rho)
+    on_edge = turned_columns[is_turned] < lines * len(body.rho)
+    assert (on_edge.sum(axis=1) == 2).all()  # the apex is inside the core
+    neighbours = np.abs(np.diff(turned_lines[on_edge].reshape(-1, 2), axis=1))
+    assert np.isin(neighbours, (1, lines - 1)).all()
