@@ -33,7 +33,9 @@ RAYS = 720  # rays around; a sharp corner between two of them is cut by up to 0.
 THETA = 2 * np.pi * np.arange(RAYS) / RAYS
 NEAR_PLANE = 1e-6  # mm from a plane within which triangles may cross it
 HIDDEN_METAL = 4.0  # mm of metal that a ray may meet beyond a gap: the corner of a shoulder
+NOTCH_RATIO = 5.0  # of the distance of rays on an outline over that beside it: a notch is between
 TIP_MARGIN = 3.0  # mm above the tip, and below the shoulder, from which the mantle goes on beyond
+SMALLEST_TURN = 1e-9  # turns between the two points at the middle of a notch
 NECK_SHARE = 0.38  # of the neck's length: what the points between axis and neck head for
 NECK_INSET = 1e-3  # mm that the last section is within the neck
 TURN_AFTER_COLLAR = 2.0  # speed at which sections turn above a collar, until they are as without it
@@ -225,6 +227,29 @@ def _with_corner_points(x: Floats, bounds: Floats, turns: Floats) -> tuple[Float
     return np.concatenate([x, corner_points]), np.interp(all_arcs, bounds, turns)
 
 
+def _beside_notches(x: Floats, turns: Floats) -> tuple[Floats, Floats]:
+    """Keep points off the chords of notches, into which no ray reaches.
+
+    The first half of the lines at a notch get its first end, the others its second.
+
+    Args:
+        x: Points of a closed outline (n, 3) [mm].
+        turns: Lines there (n,).
+
+    Returns:
+        Points and their lines, with both ends of each notch once more at its middle line.
+    """
+    length = np.sqrt(((np.roll(x, -1, axis=0) - x) ** 2).sum(axis=1))
+    beside = np.maximum(np.roll(length, 1), np.roll(length, -1))
+    first = np.flatnonzero(length > NOTCH_RATIO * beside)
+    second = (first + 1) % len(x)
+    middle = turns[first] + 0.5 * ((turns[second] - turns[first]) % 1.0)
+    return (
+        np.concatenate([x, x[first], x[second]]),
+        np.concatenate([turns, middle - SMALLEST_TURN, middle + SMALLEST_TURN]),
+    )
+
+
 class CadStem:
     """A stem as `stem_file.read` finds it; ``ends`` are the steps above the neck cut."""
 
@@ -327,7 +352,7 @@ class CadStem:
             after_collar = max(0.0, fraction - self._collar_end) / (1.0 - self._collar_end)
             to_equal = (equal - turns + 0.5) % 1.0 - 0.5
             # The square root turns lines early: in proportion they invert cells of a hollow neck.
-            return x, turns + np.sqrt(after_collar) * to_equal
+            return _beside_notches(x, turns + np.sqrt(after_collar) * to_equal)
         knots = self._corner_lines.knots(x) if self._corner_lines else None
         if knots:
             return _with_corner_points(x, *knots)
