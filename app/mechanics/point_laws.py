@@ -415,13 +415,3 @@ def _compliance(
     return np.linalg.inv(
         tangential_stiffness * np.eye(3) + (normal_stiffness - tangential_stiffness) * mean
     )
-
-
-def initial_gap_vectors(normals: Floats, gap: Floats) -> Floats:
-    """Vectors g (n, 3) with g . n_k the given initial gap on every face of each point [mm].
-
-    Args:
-        normals: Unit normals of the faces, zero beyond their number (n, 3, 3).
-        gap: Initial gap (n,) [mm].
-    """
-    return np.linalg.pinv(normals).sum(axis=2) * gap[:, None]

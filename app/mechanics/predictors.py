@@ -191,7 +191,7 @@ class WarmStart:
         problem = self._problem
         contacts = problem.scene.contacts if problem.comm.rank == 0 else ()
         friction = np.log([max(c.law.largest_friction, SMALLEST_FRICTION) for c in contacts])
-        gaps = problem.contact.initial_gap.ravel() if problem.contact else np.zeros(0)
+        gaps = problem.contact.gaps.initial_gap.ravel() if problem.contact else np.zeros(0)
         return self._solver.x.copy(), (problem.f.array.copy(), gaps, friction)
 
     def _scaled(

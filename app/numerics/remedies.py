@@ -41,9 +41,9 @@ def solve(solver: Solver) -> NewtonResult:
         contact.laws.scale_augmentation(solver.augmentation)
     runs: list[tuple[int, int]] = []
     start = solver.x.copy() if contact else solver.x
-    if contact and contact.freeze():
+    if contact and contact.remedies.freeze():
         runs.append(solver.run())
-        contact.unfreeze()
+        contact.remedies.unfreeze()
         if not solver.converged:
             start.copy(solver.x)
     runs.append(solver.run())
@@ -133,8 +133,8 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
         yield from _with_switched_interfaces(
             solver,
             start,
-            contact.constrain,
-            contact.release,
+            contact.remedies.constrain,
+            contact.remedies.release,
             closed,
             "releasing these interfaces",
         )
@@ -142,8 +142,8 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
         yield from _with_switched_interfaces(
             solver,
             start,
-            contact.open,
-            contact.allow_closing,
+            contact.remedies.open,
+            contact.remedies.allow_closing,
             "opening all interfaces",
             overlap,
         )
@@ -223,7 +223,7 @@ def _with_tresca_friction(
 
     Where a solve under given pressures does not converge, the state is that before the remedy.
     """
-    if not contact.begin_tresca_friction():
+    if not contact.remedies.begin_tresca_friction():
         return
     before = solver.x.copy()
     start.copy(solver.x)
@@ -231,7 +231,7 @@ def _with_tresca_friction(
         yield "limiting friction by given pressures, which follow those of the state"
         yield from _following_pressures(solver, contact)
     finally:
-        contact.end_tresca_friction()
+        contact.remedies.end_tresca_friction()
     if solver.converged:
         yield "limiting friction by the pressures of the state"
     else:
@@ -244,7 +244,7 @@ def _following_pressures(solver: Solver, contact: SolvedContact) -> Iterator[str
         least, updates = math.inf, 0
         while updates < MOST_UPDATES and solver.converged:
             solver.residual(solver.x)
-            difference = contact.relax_tresca_friction(share)
+            difference = contact.remedies.relax_tresca_friction(share)
             if difference < SAME_PRESSURES:
                 return
             yield ""

@@ -47,7 +47,7 @@ class AfterInsertion(Record):
         def step(accepted: LoadStep, trial: TrialState | None) -> None:
             contact = self._followed.problem.contact
             assert contact is not None
-            at_end = abs(accepted.time - contact.insertion_time) < 1e-6
+            at_end = abs(accepted.time - contact.gaps.insertion_time) < 1e-6
             if at_end and trial is not None:
                 self.inserted = {"interfaces": self._interfaces(trial), "regions": self._strains()}
             on_step(accepted, trial)

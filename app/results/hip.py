@@ -93,7 +93,7 @@ class StemMotion:
 
         def step(accepted: LoadStep, trial: TrialState | None) -> None:
             contact = self._problem.contact
-            if contact is not None and contact.is_inserting and self._nearest is not None:
+            if contact is not None and contact.gaps.is_inserting and self._nearest is not None:
                 self.at_insertion = self._motion(nodal_displacements(self._problem), self._nearest)
             on_step(accepted, trial)
 

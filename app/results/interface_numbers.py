@@ -69,7 +69,7 @@ def least_friction(trial: TrialState) -> tuple[Floats, Floats]:
     """
     contact, law, normals = trial.contact, trial.forces, trial.contact.local.normals
     pressures, friction = law.pressures.copy(), contact.state.friction.copy()
-    opening, is_face = contact.openings(trial.jump), contact.local.is_face
+    opening, is_face = contact.gaps.openings(trial.jump), contact.local.is_face
     rounding = CLOSED * np.linalg.norm(law.force, axis=1) / contact.laws.augmentation
     is_closed = np.where(is_face, np.abs(opening) <= rounding[:, None], True).all(axis=1)
     has_edge = (contact.local.faces > 1) & (law.status == STICK)
@@ -90,7 +90,7 @@ def least_friction(trial: TrialState) -> tuple[Floats, Floats]:
 def overlap_of_faces(trial: TrialState) -> Floats:
     """Return the overlap of the faces of local points (n, 3) [mm], 0 where they are open."""
     contact = trial.contact
-    opening = contact.openings(trial.jump)
+    opening = contact.gaps.openings(trial.jump)
     return np.where(contact.local.is_face, np.maximum(-opening, 0.0), 0.0)
 
 
@@ -199,7 +199,9 @@ class ContactSamples:
         self.all_corners = corners
         self.interface, self.x, self.weight = corners.interface, corners.x, corners.weight
         motion = motion_since(0.0)
-        opening = np.einsum("pi,pki->pk", motion + at_corners(contact.initial_gap), corners.normals)
+        opening = np.einsum(
+            "pi,pki->pk", motion + at_corners(contact.gaps.initial_gap), corners.normals
+        )
         is_face = np.arange(3)[None, :] < corners.faces[:, None]
         for i, interface in enumerate(problem.scene.contacts):
             if interface.off_bone is not None:
@@ -450,7 +452,7 @@ def overlap(contact: ContactInterfaces, jump: Floats) -> list[dict[str, float]]:
     """
     motion = _motion(contact, jump)
     surface = contact.points.surface
-    gap = surface.spread(contact.gather(contact.initial_gap))
+    gap = surface.spread(contact.gather(contact.gaps.initial_gap))
     clearance = np.einsum("pi,pi->p", gap, surface.normals[:, 0])
     penetrations = []
     for rows, triangles in zip(surface.facets, surface.triangles, strict=True):

@@ -243,7 +243,7 @@ def error_of_runaway(problem: Problem, trial: TrialState) -> Verdict | None:
         return None
     size = contact.motions.frame[1]
     # Closing a gap or making room for an interference is not running away.
-    distance = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(contact.initial_gap, axis=1)
+    distance = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(contact.gaps.initial_gap, axis=1)
     for i, term in enumerate(problem.scene.contacts):
         at_interface = contact.local.interface == i
         largest = max(problem.comm.allgather(float(distance[at_interface].max(initial=0.0))))
@@ -281,7 +281,7 @@ def warnings_of_floating_bodies(problem: Problem, trial: TrialState) -> list[Ver
     No load acts on such a body along its free motion, so any place in the gaps is an equilibrium.
     """
     contact, size = trial.contact, trial.contact.motions.frame[1]
-    gaps = contact.openings(trial.jump).max(axis=1)
+    gaps = contact.gaps.openings(trial.jump).max(axis=1)
     is_open = trial.forces.status == OPEN
     if not any(problem.comm.allgather(bool((is_open & (gaps > OPEN_GAP * size)).any()))):
         return []

@@ -120,7 +120,7 @@ class CreepStepper:
         def return_to_start() -> None:
             self._stress_history.return_to(state)
             if contact and contact_state:
-                contact.state, contact.committed_jump = contact_state, contact_state.jump
+                contact.state, contact.gaps.committed_jump = contact_state, contact_state.jump
 
         solved = False
         try:

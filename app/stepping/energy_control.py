@@ -84,11 +84,11 @@ def start_beyond_onset(
         Fraction of the path at that state, or None if no damage is possible; collective.
     """
     contact, start = problem.contact, solver.x.copy()
-    if contact is None or not contact.freeze():
+    if contact is None or not contact.remedies.freeze():
         return None
     set_load(path[1])
     solver.run()
-    contact.unfreeze()
+    contact.remedies.unfreeze()
     end = solver.x.copy()
 
     def move_to(fraction: float) -> float:
