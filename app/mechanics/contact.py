@@ -50,7 +50,7 @@ from app.mechanics.point_forces import PointForces, normal_force
 from app.mechanics.point_laws import PointLaws
 from app.mechanics.stiffness import Stiffness
 from app.numerics.sparse import owners
-from app.scene.bodies import contact_facets
+from app.scene.bodies import facets_of_interfaces
 from app.scene.frames import vertex_constraints
 from app.scene.scene import Scene
 from forms.contact import OPEN, SLIP
@@ -224,8 +224,8 @@ class ContactInterfaces:
         scene, tagged, bodies = body_forms.scene, body_forms.tagged, body_forms.bodies
         self._supports, self._stiffness = scene.supports, stiffness
         self.comm = body_forms.mesh.comm
-        space, interfaces = body_forms.space, len(scene.contacts)
-        self.facets = contact_facets(tagged, bodies, space, scene.contacts, scene.moduli)
+        space, interfaces = body_forms.space, scene.parting_interfaces
+        self.facets = facets_of_interfaces(tagged, bodies, space, interfaces, scene.moduli)
         holds, axes = vertex_constraints(
             stiffness.frames, tagged, bodies, space, scene.supports, self.facets
         )
@@ -234,11 +234,11 @@ class ContactInterfaces:
             holds = with_rigid_regions(body_forms, constraints_of_stages, self.facets, holds, axes)
             refuse_supports_of_free_regions(scene, bodies, holds, self.facets, axes)
         self.points, entries = contact_points(
-            self.facets, holds, [c.name for c in scene.contacts], axes
+            self.facets, holds, [c.name for c in interfaces], axes
         )
         refuse_supports(scene, self.points)
         slides_finitely = np.isin(
-            self.points.interface, [i for i in range(interfaces) if scene.contacts[i].between]
+            self.points.interface, [i for i, c in enumerate(interfaces) if c.between]
         )
         # A point with finite sliding has one face: the surface under it.
         self.points.faces[slides_finitely], self.points.normals[slides_finitely, 1:] = 1, 0.0
@@ -246,7 +246,7 @@ class ContactInterfaces:
         self.local = LocalPoints.of(self.points, rows)
         edges = np.linalg.norm(self.facets.x - np.roll(self.facets.x, 1, axis=1), axis=2)
         self.edge_lengths = [
-            float(edges[self.facets.interface == i].mean()) for i in range(interfaces)
+            float(edges[self.facets.interface == i].mean()) for i in range(len(interfaces))
         ]
         self._nodes = self.points.dof[rows] - space.dofmap.index_map.local_range[0]
         self._unit_jumps = self._jumps_by_supports()
@@ -277,12 +277,12 @@ class ContactInterfaces:
 
         The default augmentation is ``augmentation_factor`` times the softest stiffness per area.
         """
-        contacts = self._contacts = scene.contacts
-        fields = [{"gap": c.gap, **c.constants} for c in contacts]
+        self._interfaces = scene.parting_interfaces
+        fields = [{"gap": c.gap, **c.constants} for c in self._interfaces]
         values = {
             name: np.zeros(len(self.points.weight)) for constants in fields for name in constants
         }
-        for i, (c, constants) in enumerate(zip(contacts, fields, strict=True)):
+        for i, (c, constants) in enumerate(zip(self._interfaces, fields, strict=True)):
             # On every rank at all points, so that an error is raised on every rank.
             at_interface = self.points.interface == i
             for name, value_at in constants.items():
@@ -295,7 +295,7 @@ class ContactInterfaces:
         local_values = {
             name: values_at_all[self.local.rows] for name, values_at_all in values.items()
         }
-        laws = [c.law for c in contacts]
+        laws = [c.law for c in self._interfaces]
         self.laws.begin(laws, local_values, augmentation_factor, self.coupling.jump_stiffness())
         self.gaps.begin(scene, values["gap"])
         self.remedies.begin()
@@ -359,7 +359,7 @@ class ContactInterfaces:
     def augmentation(self) -> dict[str, float]:
         """Augmentation of each interface that can open [MPa/mm], by name; collective."""
         values = self.laws.largest_augmentation()
-        return {self._contacts[i].name: value for i, value in values.items()}
+        return {self._interfaces[i].name: value for i, value in values.items()}
 
     def gather(self, values: Floats) -> Floats:
         """Gather values (n, ...) of local points to the values of all points; collective."""

@@ -65,7 +65,7 @@ class ContactGaps:
             scene: The scene, with the histories of gaps and the motions of bodies.
             gap: Initial gap of all points by the keys, at full amplitude (all points,) [mm].
         """
-        self._interfaces = scene.contacts
+        self._interfaces = scene.parting_interfaces
         self._full_gap = gap[self._local.rows]
         settling_times = (
             gap_settled(gap[self._points.interface == i], c.gap_history)

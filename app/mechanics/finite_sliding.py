@@ -88,8 +88,8 @@ class FiniteSliding:
 
     def begin(self, scene: Scene) -> None:
         """Set the motions of a run."""
-        self._scene, contacts = scene, scene.contacts
-        self._motion = {i: scene.motion_of(contacts[i].master) for i in self._interfaces}
+        self._scene, interfaces = scene, scene.parting_interfaces
+        self._motion = {i: scene.motion_of(interfaces[i].master) for i in self._interfaces}
         centres = {i: np.array(m.about if m else np.zeros(3)) for i, m in self._motion.items()}
         self._centre = self._of_points(centres)
         self._arm = self._points.x[self.rows] - self._centre

@@ -189,8 +189,8 @@ class WarmStart:
 
     def _state(self) -> StateWithInputs:
         problem = self._problem
-        contacts = problem.scene.contacts if problem.comm.rank == 0 else ()
-        friction = np.log([max(c.law.largest_friction, SMALLEST_FRICTION) for c in contacts])
+        interfaces = problem.scene.parting_interfaces if problem.comm.rank == 0 else ()
+        friction = np.log([max(c.law.largest_friction, SMALLEST_FRICTION) for c in interfaces])
         gaps = problem.contact.gaps.initial_gap.ravel() if problem.contact else np.zeros(0)
         return self._solver.x.copy(), (problem.f.array.copy(), gaps, friction)
 

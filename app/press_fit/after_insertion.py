@@ -63,9 +63,10 @@ class AfterInsertion(Record):
         problem, zones = self._followed.problem, self._followed.zones
         surface = trial.contact.points.surface
         levels = zones.borders(surface.x) if zones else {}
-        surface_parts = in_parts(surface, [c.name for c in problem.scene.contacts], levels)
+        interfaces = problem.scene.parting_interfaces
+        surface_parts = in_parts(surface, [c.name for c in interfaces], levels)
         numbers = ContactSamples(problem, trial, None, surface_parts).numbers
-        pressed = [c.name for c in problem.scene.contacts if c.press_fit]
+        pressed = [c.name for c in interfaces if c.press_fit]
         return {name: _of_insertion(numbers[name]) for name in pressed}
 
     def _strains(self) -> dict[str, Numbers]:

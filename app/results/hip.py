@@ -314,11 +314,11 @@ def by_zone(
         }
     if samples is not None:
         zones_of_points = zones.zones_at(samples.x) * zones.touches(samples.x)[:, None]
-        for i, contact in enumerate(problem.scene.contacts):
+        for i, interface in enumerate(problem.scene.parting_interfaces):
             for zone in zones.numbers:
                 in_zone = (samples.interface == i) & (zones_of_points == zone).any(axis=1)
                 if in_zone.any():
-                    numbers_of_zone[str(zone)]["interfaces"][contact.name] = _interface(
+                    numbers_of_zone[str(zone)]["interfaces"][interface.name] = _interface(
                         samples, i, in_zone
                     )
     return numbers_of_zone
@@ -345,7 +345,7 @@ def _interface(s: ContactSamples, i: int, mask: NDArray[np.bool_]) -> dict[str, 
     weight, tractions = s.weight[mask], s.tractions[i]
     numbers: dict[str, float] = {}
     names = ["gap", "slip", "motion", "pressure", "shear"]
-    if s.contacts[i].press_fit:
+    if s.interfaces[i].press_fit:
         names.append("micromotion")
     for name in names:
         value = mean = s.sizes[name].reshape(len(s.x), -1).max(axis=1)
