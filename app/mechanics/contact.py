@@ -55,7 +55,7 @@ from app.scene.frames import vertex_constraints
 from app.scene.scene import Scene
 from forms.contact import OPEN, SLIP
 
-# A face is closed, to separate slip from opening, if its gap is below this fraction of the step.
+# A face counts as closed if its gap is below this fraction of the motion in the step [-].
 CLOSED_GAP = 1e-6
 
 

@@ -22,10 +22,10 @@ from app.mechanics.finite_sliding import FiniteSliding
 from app.mechanics.point_laws import PointLaws
 from app.scene.scene import Scene
 
-# Largest rounding error of the time of a step: stages end at whole times.
+# Largest rounding error of the time at the end of a stage, which is a whole number [-].
 TIME_ROUNDING = 1e-9
 # Points are paired again if errors of gaps may change a pressure by more than this fraction of the
-# largest pressure.
+# largest pressure [-].
 PAIRING_ACCURACY = 1e-3
 
 

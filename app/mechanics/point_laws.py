@@ -38,12 +38,12 @@ from app.system.timing import Timing
 from forms import contact
 from forms.contact import OPEN
 
-# Prefix of the outputs with new internal variables.
+# An output with this prefix is the new value of an internal variable.
 NEW = "new "
 # Package of the laws of the program.
 LAWS = interface_laws.__name__.rpartition(".")[0]
-# Folders of its modules and of those with formulas. If the text of one changes, or that of this
-# module, `point_forces` or `pointwise`, laws are compiled again.
+# Folders of the formulas and of the laws. Laws are compiled again if a module there changes, or if
+# this module, `point_forces` or `pointwise` does.
 SOURCE_FOLDERS = (Path(contact.__file__).parent, Path(interface_laws.__file__).parent)
 
 

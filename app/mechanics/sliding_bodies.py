@@ -23,10 +23,11 @@ from app.mechanics.followers import Followers
 from app.mechanics.stiffness import Stiffness
 from app.scene.scene import Scene
 
-# Bodies without contact are moved by this multiple of the distance to the first contact. So some
+# Bodies without contact move by this multiple of the distance to the first contact [-]. So some
 # points overlap.
 APPROACH_FACTOR = 1.25
-# A point approaches the other side if the cosine between its normal and its motion is above this.
+# A point approaches the other side if the cosine of the angle between the normal and its motion is
+# above this [-].
 FACING_COSINE = 0.1
 
 # Displacements of owned nodes without translations of rotating bodies, and these by motion.

@@ -15,8 +15,8 @@ from app.numerics.system import SolvedContact
 
 log = logging.getLogger("mantle")
 
-# Factors of the augmentation in the order of trial. True: Newton continues from the current state,
-# else from the start. Mostly the augmentation is too large. None: the line search is switched.
+# Factors of the augmentation in the order of trial; mostly it is too large. True: Newton continues
+# from the current state; False: from the start. None: the line search is switched instead.
 AUGMENTATIONS = ((0.1, True), (0.01, True), None, (100.0, False), (0.1, False), (0.01, False), None)
 # Factors of the default augmentation, tried last if the case sets another one.
 DEFAULT_FACTORS = (1.0, 0.1, 0.01)
@@ -24,11 +24,11 @@ DEFAULT_FACTORS = (1.0, 0.1, 0.01)
 # `stress/stem.yaml`, where the critical friction coefficient is 1.4, a coefficient of 10 needs
 # shares down to 0.25, and one of 1000 the smallest.
 SHARES = (0.5, 0.25, 0.125, 0.0625, 0.03, 0.015)
-# Relative difference of the two below which they are the same [-].
+# Given pressures and those of the state are the same below this relative difference [-].
 SAME_PRESSURES = 1e-3
-# Updates without a halved difference after which the next share is taken.
+# Largest number of updates that do not halve this difference. Then the next share is tried.
 MOST_UPDATES = 20
-# Fraction of the default augmentation below which a solution is refined with the default.
+# A solution is refined with the default augmentation if its own is below this fraction of it [-].
 SMALL_AUGMENTATION = 0.05
 
 

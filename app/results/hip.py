@@ -29,6 +29,7 @@ from meshes.gruen import Zones
 END_FRACTION = 1e-6
 # Interfaces of a stem and its collar.
 ON_STEM = ("stem_cement", "stem_bone", ON_CUT)
+# Numbers of the two ends of a stem.
 ENDS = ("tip_displacement", "top_displacement")
 
 

@@ -41,12 +41,12 @@ MICROMOTION = 0.030
 # Levels of micromotion [mm] with the ends of their keys. In dogs bone grew in partly at 40 um, and
 # not at 150 um (Jasty 1997).
 INGROWTH = {"40um": 0.040, "150um": 0.150}
-# Fraction of the longest path of sliding. A point at its friction limit sticks if it slides less
-# than this in a step, so that rounding does not decide while loads are constant.
+# A point at its friction limit sticks if it slides less than this fraction of the longest path of
+# sliding in a step [-]. So rounding does not decide while loads are constant.
 AT_REST = 1e-9
-# Fraction of the force over the augmentation: a face that is open by less is closed.
+# A face is closed if its opening is below this fraction of the force over the augmentation [-].
 CLOSED = 1e-6
-# Fraction of the largest pressure above which the effect of facets on it is reported.
+# The effect of facets on pressures is reported above this fraction of the largest pressure [-].
 DECIDED = 0.2
 
 

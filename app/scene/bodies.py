@@ -36,6 +36,7 @@ def _facet_nodes() -> Ints:
     return np.array(nodes)
 
 
+# Nodes of each facet of a tetrahedron of second order (4, 6).
 FACET_NODES = _facet_nodes()
 
 

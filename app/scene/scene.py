@@ -40,6 +40,7 @@ from app.numerics.rigid_motions import rotation_vector
 if TYPE_CHECKING:  # a scene made in Python needs no cases
     from app.case.case import Case
 
+# Default of arguments with laws by name: none.
 NO_LAWS: Mapping[str, Any] = MappingProxyType({})
 
 

@@ -40,7 +40,7 @@ FIXED_RESISTANCE = 1e-3
 SLIDING_AREA_FRACTION = 0.95
 # A point is at the friction limit if its friction is at least this fraction of the limit.
 FRICTION_LIMIT_FRACTION = 1 - 1e-6
-# Jumps of a free body run away beyond this fraction of the size of the interfaces.
+# A free body runs away if its jumps exceed this fraction of the size of the interfaces [-].
 RUNAWAY_JUMP = 0.05
 # Their size must also exceed this multiple of load / (modulus of the softer side x size). It is 5
 # for a stem wedged by friction, 70 for a frictionless taper of 1.5 degrees, and 600 for a straight
@@ -70,7 +70,7 @@ FACET_RESISTANCE_RATIO = 0.25
 # Such a motion counts if its square exceeds this fraction of the squared jumps (0.003 in a push,
 # 0.15 in a rotation).
 FACET_MOTION_FRACTION = 0.05
-# Bodies are apart by more than this fraction of the size of the interfaces.
+# Bodies are apart if their gap exceeds this fraction of the size of the interfaces [-].
 OPEN_GAP = 1e-8
 # A pressure below this fraction of (stiffness per area x size) counts as zero.
 ZERO_PRESSURE = 1e-10

@@ -32,6 +32,7 @@ MAX_SOLVES = 40
 SETTLED = 0.02
 # Fraction by which the last step may exceed the chosen length.
 LENGTHENING = 0.001
+# Factors from the length of a step to that of the next, by the error.
 GROWTH = Growth(safety=0.8, smallest=0.2, largest=10.0, after_failure=0.2)
 
 

@@ -33,11 +33,11 @@ from app.numerics.newton import NewtonResult, Solver
 from app.numerics.preconditioners import Options
 from app.numerics.system import MatrixFree, Measure
 
-# Newton iterations of a step.
+# Largest number of Newton iterations of a step.
 MOST_NEWTON_ITERATIONS = 25
 # Relative tolerance of the energy of a step.
 ENERGY_TOLERANCE = 1e-6
-# Difference in the fraction of the path for the derivative by the load.
+# Change of the fraction of the path in the difference quotient by the load [-].
 PATH_STEP = 1e-4
 # Relative tolerance of the linear solver.
 LINEAR_TOLERANCE = 1e-9
