@@ -67,17 +67,21 @@ from ufl.variable import Variable
 
 from forms import Scalar
 
-# A face is open if its gap exceeds -ROUNDING |S|/r. The tolerance avoids changes of state by
-# rounding.
+# A face may overlap by this fraction of |S|/r and still count as open [-]. Rounding errors then do
+# not decide.
 ROUNDING = 1e-9
-# A point has the status STICK until its tangential trial force exceeds the limit of friction by
-# this fraction. Rounding errors then do not decide while loads are constant.
+# The tangential trial force may exceed the limit of friction by this fraction, and the point still
+# has the status STICK [-]. Rounding errors then do not decide while loads are constant.
 AT_REST = 1e-6
 
-# States of a point.
+# Status of a point without contact.
 OPEN = 0
+# Status of a point in contact whose friction is below its limit.
 STICK = 1
+# Status of a point in contact whose friction is at its limit.
 SLIP = 2
+
+# Factor that makes an expression of a number.
 _ONE = as_ufl(1.0)
 
 

@@ -133,7 +133,8 @@ class CycleHeat(Record):
         """Heat of friction into the nodes of master and slave, and triplets of X; collective."""
         from scipy import sparse  # imported late: few runs need it
 
-        points, i = self._contact.points, [o.name for o in self._scene.contacts].index(c.name)
+        names = [interface.name for interface in self._scene.parting_interfaces]
+        points, i = self._contact.points, names.index(c.name)
         of_interface = points.interface == i  # in the order of the vertices
         weight = points.weight[of_interface]
         surface = self._finite_sliding.followers.sides[i][0].smooth

@@ -99,7 +99,7 @@ class Bearings(Record):
         self._scene = problem.scene
         self.bearings = {
             c.name: Bearing(problem, case, i)
-            for i, c in enumerate(problem.scene.contacts)
+            for i, c in enumerate(problem.scene.parting_interfaces)
             if c.slides_finitely
         }
         self.stage = ""
@@ -109,7 +109,7 @@ class Bearings(Record):
 
         While heat flows, the numbers of the last cycle stay.
         """
-        swapped = [c.swapped for c in self._scene.contacts]
+        swapped = [c.swapped for c in self._scene.parting_interfaces]
 
         def record_step(step: LoadStep, trial: TrialState | None) -> None:
             stage = self._scene.stages[math.ceil(step.time) - 1]
@@ -173,7 +173,7 @@ class Bearing:
     )
 
     def __init__(self, problem: Problem, case: Case, i: int) -> None:
-        contact, c = problem.contact, problem.scene.contacts[i]
+        contact, c = problem.contact, problem.scene.parting_interfaces[i]
         assert contact is not None and contact.finite_sliding is not None
         self._problem, self._interface = problem, c
         self._body = problem.bodies.body_of_region[c.master[0]]

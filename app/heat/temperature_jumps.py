@@ -25,7 +25,7 @@ from app.interfaces.corners import VertexConstraints
 from app.interfaces.interface_facets import InterfaceFacets, gathered_arrays
 from app.numerics.pointwise import Pointwise
 from app.numerics.sparse import from_triplets, owners
-from app.scene.bodies import Bodies, contact_facets
+from app.scene.bodies import Bodies, facets_of_interfaces
 from app.scene.scene import Scene
 from forms import interface_heat
 from meshes.distribute import TaggedMesh
@@ -69,11 +69,11 @@ class TemperatureJumps:
         forms: HeatForms,
         condition_of_body: Ints,
     ) -> None:
-        contacts = scene.thermal_contacts
+        interfaces = scene.thermal_contacts
         comm, index_map = forms.comm, forms.space.dofmap.index_map
-        facets = contact_facets(tagged, bodies, forms.space, contacts, {})
+        facets = facets_of_interfaces(tagged, bodies, forms.space, interfaces, {})
         constraints = _vertex_constraints(forms, facets, condition_of_body)
-        names = [c.name for c in contacts]
+        names = [c.name for c in interfaces]
         self.points, entries = contact_points(facets, constraints, names, {}, by_face=False)
         self.owned_rows, number_of_point = owners(comm, index_map, self.points.dof)
         begin, end = index_map.local_range
@@ -99,7 +99,7 @@ class TemperatureJumps:
         self.pressure: Floats = np.zeros(point_count)
         self.friction: Floats = np.zeros(point_count)
         share_of_interface = {f.name: f.slave_share for f in scene.friction_heat}
-        shares = np.array([share_of_interface.get(c.name, 0.0) for c in contacts])
+        shares = np.array([share_of_interface.get(c.name, 0.0) for c in interfaces])
         self.share = shares[self.interface]
         with forms.compiling():
             inputs = ("p", "τ", "open", "per_pressure", "cap")
@@ -109,7 +109,7 @@ class TemperatureJumps:
                 dict.fromkeys(inputs, 1),
                 lambda x: interface_heat.flux_and_derivatives(*(x[name] for name in inputs)),
             )
-        conductances = np.array([c.law.conductances for c in contacts])[self.interface]
+        conductances = np.array([c.law.conductances for c in interfaces])[self.interface]
         self._law.set(
             open=conductances[:, 0], per_pressure=conductances[:, 1], cap=conductances[:, 2]
         )

@@ -32,7 +32,7 @@ Rules for each displacement component of a vertex where bodies and interfaces me
 * The components are along x, y, z. A vertex with a support along another direction has local axes.
   The jumps themselves are always along x, y, z.
 
-All facets of the contact interfaces are gathered on every rank; they are few. They are sorted by
+All facets of the interfaces are gathered on every rank; they are few. They are sorted by
 the vertex numbers of the mesh file, so that the result does not depend on the partition.
 """
 

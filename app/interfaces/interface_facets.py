@@ -23,7 +23,7 @@ QUADRATURE = np.full((3, 3), 1 / 6) + np.eye(3) / 2
 
 @dataclass(frozen=True)
 class InterfaceFacets:
-    """Facets of the contact interfaces, replicated on all ranks in canonical order.
+    """Facets of interfaces, replicated on all ranks in canonical order.
 
     Attributes:
         interface: Index of the interface (f,).

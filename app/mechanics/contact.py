@@ -31,9 +31,11 @@ from app.foundation.errors import InputError
 from app.interfaces.contact_points import contact_points
 from app.interfaces.corners import BY_RIGID_REGION
 from app.interfaces.interface_facets import gathered_arrays
-from app.laws.values import amplitude, gap_at, gap_settled
+from app.laws.values import amplitude
 from app.mechanics.body_forms import BodyForms
+from app.mechanics.contact_gaps import ContactGaps
 from app.mechanics.contact_motions import ContactMotions
+from app.mechanics.contact_remedies import ContactRemedies
 from app.mechanics.contact_state import (
     ContactState,
     LocalPoints,
@@ -42,27 +44,19 @@ from app.mechanics.contact_state import (
     refuse_supports_of_free_regions,
     with_rigid_regions,
 )
-from app.mechanics.finite_sliding import PAIRING_ACCURACY, FiniteSliding
+from app.mechanics.finite_sliding import FiniteSliding
 from app.mechanics.jump_coupling import JumpCoupling
 from app.mechanics.point_forces import PointForces, normal_force
-from app.mechanics.point_laws import PointLaws, initial_gap_vectors
+from app.mechanics.point_laws import PointLaws
 from app.mechanics.stiffness import Stiffness
-from app.mechanics.switches import Switches
 from app.numerics.sparse import owners
-from app.scene.bodies import contact_facets
+from app.scene.bodies import facets_of_interfaces
 from app.scene.frames import vertex_constraints
 from app.scene.scene import Scene
 from forms.contact import OPEN, SLIP
 
-# Rounding of times of a run.
-TIME_ROUNDING = 1e-9
-# A face is closed, to separate slip from opening, if its gap is below this fraction of the step.
+# A face counts as closed if its gap is below this fraction of the motion in the step [-].
 CLOSED_GAP = 1e-6
-# Bodies without contact are moved by this multiple of the distance to the first contact, so that
-# some points are in contact.
-APPROACH_FACTOR = 1.25
-# Points count for this distance if the cosine of normal and direction of motion is above this.
-FACING_COSINE = 0.1
 
 
 @dataclass(frozen=True)
@@ -89,7 +83,9 @@ class TrialState:
         contact, law = self.contact, self.forces
         force = law.force - normal_force(law.pressures, contact.local.normals)
         force_deficit = contact.local.project_free(contact.multiplier(self.equilibrium) - force)
-        motion = self.jump - contact.reference + force_deficit / contact.laws.augmentation[:, None]
+        motion = (
+            self.jump - contact.gaps.reference + force_deficit / contact.laws.augmentation[:, None]
+        )
         has_friction = contact.laws.law_has_friction & contact.laws.law_is_contact
         is_slipping = (has_friction & (law.status == SLIP))[:, None]
         closed_faces = self._closed_faces(motion)
@@ -104,7 +100,7 @@ class TrialState:
         point against another face, there is a force across the edge too, but no slip.
         """
         rounding = CLOSED_GAP * np.linalg.norm(step, axis=1)
-        is_nearly_closed = self.contact.openings(self.jump) <= rounding[:, None]
+        is_nearly_closed = self.contact.gaps.openings(self.jump) <= rounding[:, None]
         return np.asarray((self.forces.pressures > 0) | is_nearly_closed)
 
     def slip(self, friction: Floats) -> Floats:
@@ -123,7 +119,7 @@ class TrialState:
         if contact.finite_sliding is not None:
             rows = contact.finite_sliding.rows
             slip[rows] = (
-                contact.state.slip[rows] + self.sliding(self.jump - contact.reference)[rows]
+                contact.state.slip[rows] + self.sliding(self.jump - contact.gaps.reference)[rows]
             )
         return slip
 
@@ -154,7 +150,7 @@ class TrialState:
         contact, law = self.contact, self.forces
         before = contact.state
         weight = contact.local.weight
-        step, gap_vector = self.jump - contact.reference, contact.gap_vector(self.jump)
+        step, gap_vector = self.jump - contact.gaps.reference, contact.gaps.gap_vector(self.jump)
         # Equilibrium along a prescribed jump contains the support reaction: take the law's force.
         force = contact.forces(self.equilibrium) + contact.local.prescribed_tangential(law.force)
         normal = normal_force(law.pressures, contact.local.normals)
@@ -189,13 +185,15 @@ class TrialState:
             contact_work=before.contact_work + weight * contact_work,
             work=before.work
             + weight
-            * np.einsum("pi,pi->p", (force + before.force) / 2, self.jump - contact.committed_jump),
+            * np.einsum(
+                "pi,pi->p", (force + before.force) / 2, self.jump - contact.gaps.committed_jump
+            ),
             internal_variables=law.internal_variables,
         )
 
 
 class ContactInterfaces:
-    """Contact of all interfaces on this rank: points, coupling to the bodies, laws, state.
+    """Contact of all interfaces on this rank: its parts, the committed state, and the residual.
 
     Attributes:
         points: All contact points, replicated.
@@ -204,24 +202,18 @@ class ContactInterfaces:
         local: The points of this rank.
         coupling: Coupling of the jumps to the displacement.
         laws: Laws at the local points.
-        motions: Rigid motions of the bodies at the points.
-        switches: Changes of the laws that remedies of Newton's method have made.
-        state: Committed state of the local points.
-        initial_gap: Vectors of the initial gap at the current time (n, 3) [mm].
         finite_sliding: Points with finite sliding, if any.
-        insertion_time: Time up to which the gap of press fits changes.
-        jump_at_committed_pairing: Jumps at the last pairing of the committed state (n, 3) [mm];
-            None with small sliding.
-        committed_jump: Committed jumps relative to the current pairs (n, 3) [mm].
-        reference: Jumps with zero slip relative to the last committed step (n, 3) [mm].
+        gaps: Gaps of the local points.
+        motions: Rigid motions of the bodies at the points.
+        remedies: Changes of the laws that remedies of Newton's method ask for.
+        state: Committed state of the local points.
         prescribed: Jumps prescribed by supports at the current time (n, 3) [mm].
 
     Raises:
         InputError: An interface has no facets on this mesh.
     """
 
-    saved = ("state", "jump_at_committed_pairing")
-    jump_at_committed_pairing: Floats | None = None
+    saved = ("state", "finite_sliding")
 
     def __init__(
         self,
@@ -232,8 +224,8 @@ class ContactInterfaces:
         scene, tagged, bodies = body_forms.scene, body_forms.tagged, body_forms.bodies
         self._supports, self._stiffness = scene.supports, stiffness
         self.comm = body_forms.mesh.comm
-        space, interfaces = body_forms.space, len(scene.contacts)
-        self.facets = contact_facets(tagged, bodies, space, scene.contacts, scene.moduli)
+        space, interfaces = body_forms.space, scene.parting_interfaces
+        self.facets = facets_of_interfaces(tagged, bodies, space, interfaces, scene.moduli)
         holds, axes = vertex_constraints(
             stiffness.frames, tagged, bodies, space, scene.supports, self.facets
         )
@@ -242,11 +234,11 @@ class ContactInterfaces:
             holds = with_rigid_regions(body_forms, constraints_of_stages, self.facets, holds, axes)
             refuse_supports_of_free_regions(scene, bodies, holds, self.facets, axes)
         self.points, entries = contact_points(
-            self.facets, holds, [c.name for c in scene.contacts], axes
+            self.facets, holds, [c.name for c in interfaces], axes
         )
         refuse_supports(scene, self.points)
         slides_finitely = np.isin(
-            self.points.interface, [i for i in range(interfaces) if scene.contacts[i].between]
+            self.points.interface, [i for i, c in enumerate(interfaces) if c.between]
         )
         # A point with finite sliding has one face: the surface under it.
         self.points.faces[slides_finitely], self.points.normals[slides_finitely, 1:] = 1, 0.0
@@ -254,7 +246,7 @@ class ContactInterfaces:
         self.local = LocalPoints.of(self.points, rows)
         edges = np.linalg.norm(self.facets.x - np.roll(self.facets.x, 1, axis=1), axis=2)
         self.edge_lengths = [
-            float(edges[self.facets.interface == i].mean()) for i in range(interfaces)
+            float(edges[self.facets.interface == i].mean()) for i in range(len(interfaces))
         ]
         self._nodes = self.points.dof[rows] - space.dofmap.index_map.local_range[0]
         self._unit_jumps = self._jumps_by_supports()
@@ -266,6 +258,7 @@ class ContactInterfaces:
             dof = self.points.dof[rows]
             self.finite_sliding = FiniteSliding(body_forms, self.local, dof, stiffness.followers)
         self.laws = PointLaws(self.comm, self.local, body_forms.timing)
+        self.gaps = ContactGaps(self.comm, self.points, self.local, self.laws, self.finite_sliding)
         self.motions = ContactMotions(
             body_forms,
             stiffness,
@@ -274,6 +267,9 @@ class ContactInterfaces:
             self.laws,
             has_finite_sliding=self.finite_sliding is not None,
         )
+        self.remedies = ContactRemedies(
+            self.comm, self.points, self.local, self.laws, self.motions, self._touching
+        )
         self.begin(scene, augmentation_factor)
 
     def begin(self, scene: Scene, augmentation_factor: float) -> None:
@@ -281,12 +277,12 @@ class ContactInterfaces:
 
         The default augmentation is ``augmentation_factor`` times the softest stiffness per area.
         """
-        contacts = self._contacts = scene.contacts
-        fields = [{"gap": c.gap, **c.constants} for c in contacts]
+        self._interfaces = scene.parting_interfaces
+        fields = [{"gap": c.gap, **c.constants} for c in self._interfaces]
         values = {
             name: np.zeros(len(self.points.weight)) for constants in fields for name in constants
         }
-        for i, (c, constants) in enumerate(zip(contacts, fields, strict=True)):
+        for i, (c, constants) in enumerate(zip(self._interfaces, fields, strict=True)):
             # On every rank at all points, so that an error is raised on every rank.
             at_interface = self.points.interface == i
             for name, value_at in constants.items():
@@ -299,27 +295,15 @@ class ContactInterfaces:
         local_values = {
             name: values_at_all[self.local.rows] for name, values_at_all in values.items()
         }
-        # Initial gap by the keys, which the multipliers of `gap_history` scale over time (n,) [mm].
-        self._given_gap = local_values["gap"]
-        settling_times = (
-            gap_settled(values["gap"][self.points.interface == i], c.gap_history)
-            for i, c in enumerate(contacts)
-            if c.press_fit
-        )
-        self.insertion_time = max(settling_times, default=0.0) + TIME_ROUNDING
-        laws = [c.law for c in contacts]
+        laws = [c.law for c in self._interfaces]
         self.laws.begin(laws, local_values, augmentation_factor, self.coupling.jump_stiffness())
-        self.switches = Switches.off(len(self.local))
-        self._last_trial_force: Floats = np.zeros((len(self.local), 3))
-        if self.finite_sliding is not None:
-            self.finite_sliding.begin(scene)
-        self._committed_time = 0.0
+        self.gaps.begin(scene, values["gap"])
+        self.remedies.begin()
         self.state: ContactState = ContactState.at_rest(
             len(self.local), self.laws.internal_variables
         )
-        self.committed_jump = self.state.jump
         self.set_time(0.0)
-        self.state.gap_vector = self.gap_vector(self.state.jump)
+        self.state.gap_vector = self.gaps.gap_vector(self.state.jump)
 
     def _jumps_by_supports(self) -> list[Floats]:
         """Jumps of local points that each support prescribes at full amplitude (n, 3) [mm]."""
@@ -342,233 +326,40 @@ class ContactInterfaces:
 
     def set_time(self, time: float) -> None:
         """Set gaps and prescribed jumps to a time."""
-        gap = np.zeros(len(self.local))
-        for i, c in enumerate(self._contacts):
-            at_interface = self.local.interface == i
-            gap[at_interface] = gap_at(self._given_gap[at_interface], c.gap_history, time)
-        self._normal_initial_gap = gap
-        if self.finite_sliding is None:
-            self.initial_gap = initial_gap_vectors(self.local.normals, gap)
-        else:
-            self.finite_sliding.set_time(self._committed_time, time)
-            self.set_pairs(self.state.jump)
+        self.gaps.set_time(time, self.state.jump)
         self.prescribed = np.zeros((len(self.local), 3))
         for support, jump in zip(self._supports, self._unit_jumps, strict=True):
             self.prescribed += amplitude(support.history, time) * jump
 
-    def set_pairs(self, jump: Floats) -> None:
-        """Pair the points with finite sliding, at jumps (n, 3) [mm]: gaps, normals, reference."""
-        assert self.finite_sliding is not None
-        rows, local = self.finite_sliding.rows, self.local
-        closest = self.finite_sliding.find_pairs(jump)
-        local.normals[rows, 0] = closest.normal
-        self.laws.set_normals(rows)
-        self._jump_at_pairing, gap = jump.copy(), self._normal_initial_gap.copy()
-        gap[rows] += closest.gap - np.einsum("pi,pi->p", closest.normal, jump[rows])
-        self.initial_gap = initial_gap_vectors(local.normals, gap)
-
-    def update_pairs(self, trial: TrialState) -> bool:
-        """Pair points if errors of gaps change pressures by more than `PAIRING_ACCURACY`.
-
-        Collective. Returns True if points were paired.
-        """
-        if self.finite_sliding is None:
-            return False
-        rows = self.finite_sliding.rows
-        pressure = trial.forces.pressures[rows, 0]
-        gap_error = self.finite_sliding.error(self._jump_at_pairing, trial.jump)
-        error = self.laws.softest_stiffness[rows] * gap_error
-        largest = pressure.max(initial=0.0), error[pressure > 0].max(initial=0.0)
-        largest_pressure, largest_error = (self.comm.allreduce(float(v), MPI.MAX) for v in largest)
-        if largest_error <= PAIRING_ACCURACY * largest_pressure:
-            return False
-        self.set_pairs(trial.jump)
-        return True
-
-    @property
-    def is_inserting(self) -> bool:
-        """Return True if the gap of a press fit changed in the last committed step."""
-        return 0.0 < self._committed_time <= self.insertion_time
-
     def commit(self, state: ContactState, time: float) -> None:
         """Set the committed state, and its time."""
-        if time <= self.insertion_time:
+        if time <= self.gaps.insertion_time:
             state.inserted = state.jump
-        self.state, self._committed_time = state, time
-        self.committed_jump = state.jump
-        if self.finite_sliding is not None:
-            self.finite_sliding.set_time(time, time)
-            self.jump_at_committed_pairing = self._jump_at_pairing
+        self.state = state
+        self.gaps.commit(state.jump, time)
 
-    @property
-    def reference(self) -> Floats:
-        """Jumps with zero slip relative to the last committed step (n, 3) [mm]."""
-        return (
-            self.committed_jump
-            if self.finite_sliding is None
-            else self.finite_sliding.reference(self.committed_jump)
-        )
-
-    def gap_vector(self, jump: Floats) -> Floats:
-        """Gap vectors D of jumps (n, 3) [mm]; in finite sliding along the normal alone."""
-        gaps = jump + self.initial_gap
-        if self.finite_sliding is not None:
-            rows, n = self.finite_sliding.rows, self.local.normals[self.finite_sliding.rows, 0]
-            gaps[rows] = np.einsum("pi,pi->p", gaps[rows], n)[:, None] * n
-        return gaps
-
-    def openings(self, jump: Floats) -> Floats:
-        """Normal components of the gap vector of jumps (n, 3) on the faces (n, 3) [mm]."""
-        return self.local.along_normals(jump + self.initial_gap)
-
-    def constrain(self) -> bool:
-        """Constrain interfaces that have to close to hold a body; collective.
-
-        Constrained are interfaces that are open everywhere, and partly open ones of a body that
-        neither supports nor touching points hold. The sides of a constrained interface touch and
-        stick, which moves the body into contact.
-
-        Returns:
-            True if interfaces are constrained.
-        """
-        constrained = np.zeros(len(self.local), dtype=bool)
-        gap = self._normal_initial_gap.copy()
-        if self.finite_sliding is not None:
-            gap[self.finite_sliding.rows] += self.finite_sliding.paired.gap
-        is_touching = (gap <= 0) | self.state.force.any(axis=1)
-        floating: set[int] | None = None
-        for i in range(len(self._contacts)):
-            at_interface = self.local.interface == i
-            has_touching, has_open = (
-                bool(self.comm.allreduce(int(mask[at_interface].sum()), MPI.SUM))
-                for mask in (is_touching, ~is_touching)
-            )
-            if has_touching and not has_open:
-                continue
-            if has_touching:
-                if floating is None:
-                    floating = self.motions.numbers_of_floating_bodies(is_touching, constrained)
-                bodies = {int(b) for b in np.unique(self.points.bodies[self.points.interface == i])}
-                if bodies.isdisjoint(floating):
-                    continue
-            constrained |= at_interface
-        self.switches = replace(self.switches, constrained=constrained)
-        return bool(self.comm.allreduce(bool(constrained.any()), MPI.LOR))
-
-    def release(self) -> None:
-        """Release constrained interfaces."""
-        none = np.zeros(len(self.local), dtype=bool)
-        self.switches = replace(self.switches, constrained=none)
+    def _touching(self) -> Bools:
+        """Mask of points that touch in the committed state (n,)."""
+        return np.asarray((self.gaps.at_pairing <= 0) | self.state.force.any(axis=1))
 
     def is_apart(self) -> bool:
         """Return True if no point touches in the committed state; collective."""
-        is_closed = (self.openings(self.state.jump) <= 0) & self.local.is_face
+        is_closed = (self.gaps.openings(self.state.jump) <= 0) & self.local.is_face
         touches = self.state.force.any(axis=1) | is_closed.any(axis=1)
         return not self.comm.allreduce(bool(touches.any()), MPI.LOR)
 
-    def open(self) -> bool:
-        """Open all interfaces that can open; collective.
-
-        Laws other than contact keep their forces.
-
-        Returns:
-            True if interfaces are opened.
-        """
-        opened = self.laws.law_has_contact & self.laws.law_can_open
-        self.switches = replace(self.switches, opened=opened)
-        return bool(self.comm.allreduce(bool(opened.any()), MPI.LOR))
-
-    def allow_closing(self) -> None:
-        """Let opened interfaces close."""
-        none = np.zeros(len(self.local), dtype=bool)
-        self.switches = replace(self.switches, opened=none)
-
-    def freeze(self) -> bool:
-        """Freeze the internal variables; return True if there are any."""
-        freezes_variables = bool(self.laws.internal_variables)
-        self.switches = replace(self.switches, freezes_variables=freezes_variables)
-        return freezes_variables
-
-    def unfreeze(self) -> None:
-        """Let the internal variables change."""
-        self.switches = replace(self.switches, freezes_variables=False)
-
-    def begin_tresca_friction(self) -> bool:
-        """Limit friction by given pressures, zero at first; collective.
-
-        The problem with given pressures is that of Tresca: it is convex, and has one solution.
-        Friction of the debonded area of a cohesive law stays as it is.
-
-        Returns:
-            True if there is contact with friction.
-        """
-        has_local_friction = bool((self.laws.law_has_friction & self.laws.law_is_contact).any())
-        has_friction = bool(self.comm.allreduce(has_local_friction, MPI.LOR))
-        if has_friction:
-            none = np.zeros((len(self.local), 3))
-            self.switches = replace(self.switches, tresca_force=none)
-        return has_friction
-
-    def relax_tresca_friction(self, share: float) -> float:
-        """Move the given pressures by a share towards those of the last state; collective.
-
-        The last state is the one of the last evaluation.
-
-        Returns:
-            Norm of the difference of the trial forces over that of the last ones [-].
-
-        Raises:
-            ValueError: Friction is not limited by given pressures.
-        """
-        given, last = self.switches.tresca_force, self._last_trial_force
-        if given is None:
-            raise ValueError("friction is not limited by given pressures")
-        difference = last - given
-        self.switches = replace(self.switches, tresca_force=given + share * difference)
-        squares = np.array([(difference**2).sum(), (last**2).sum()])
-        change, size = np.sqrt(self.comm.allreduce(squares, MPI.SUM))
-        return float(change / size) if size else 0.0
-
-    def end_tresca_friction(self) -> None:
-        """Limit friction by the pressures of the state."""
-        self.switches = replace(self.switches, tresca_force=None)
-
     def unresisted_motions(self, status: Ints) -> Floats:
         """Rigid motions that nothing resists at states (n,); collective."""
-        return self.motions.unresisted(status, self.switches.constrained)
+        return self.motions.unresisted(status, self.remedies.switches.constrained)
 
     def motions_resisted_by_open_points(self, status: Ints) -> Floats:
         """Rigid motions that only open points resist (6 bodies, k); collective."""
-        return self.motions.resisted_by_open_points(status, self.switches.constrained)
-
-    def approach(self, f: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:
-        """Move bodies without contact along forces f [N] until they overlap slightly; collective.
-
-        Newton's method then starts with active contact points, however small the load is. From
-        afar it would not find them.
-        """
-        if self.finite_sliding is None:
-            return
-        rows, constraints = self.finite_sliding.rows, self._stiffness.constraints
-        rigid_motion = constraints.rigid_motion_along(f)
-        direction = constraints.expand(rigid_motion).array_r.reshape(-1, 3)[
-            self.finite_sliding.nodes
-        ]
-        gap = self._normal_initial_gap[rows] + self.finite_sliding.paired.gap
-        closing_speed = np.einsum("pi,pi->p", self.local.normals[rows, 0], direction)
-        is_closing = closing_speed > FACING_COSINE * np.linalg.norm(direction, axis=1)
-        nearest = float(np.min(gap[is_closing] / closing_speed[is_closing], initial=np.inf))
-        touches = (gap <= 0).any() or self.state.force[rows].any()
-        # Multiple of the direction up to the first contact.
-        distance = self.comm.allreduce(0.0 if touches else nearest, MPI.MIN)
-        if np.isfinite(distance):
-            u.axpy(APPROACH_FACTOR * distance, rigid_motion)
-            q.array.reshape(-1, 3)[rows] -= APPROACH_FACTOR * distance * direction
+        return self.motions.resisted_by_open_points(status, self.remedies.switches.constrained)
 
     def augmentation(self) -> dict[str, float]:
         """Augmentation of each interface that can open [MPa/mm], by name; collective."""
         values = self.laws.largest_augmentation()
-        return {self._contacts[i].name: value for i, value in values.items()}
+        return {self._interfaces[i].name: value for i, value in values.items()}
 
     def gather(self, values: Floats) -> Floats:
         """Gather values (n, ...) of local points to the values of all points; collective."""
@@ -603,13 +394,14 @@ class ContactInterfaces:
 
     def evaluate(self, e: Floats, q: Floats) -> PointForces:
         """The laws at local points for equilibrium and jumps."""
-        state = self.state
-        if self.finite_sliding is not None:
-            state = replace(state, jump=self.reference)
         forces = self.laws.evaluate(
-            self.multiplier(e), self.with_prescribed(q), self.initial_gap, state, self.switches
+            self.multiplier(e),
+            self.with_prescribed(q),
+            self.gaps.initial_gap,
+            replace(self.state, jump=self.gaps.reference),
+            self.remedies.switches,
         )
-        self._last_trial_force = forces.trial_force
+        self.remedies.last_trial_force = forces.trial_force
         return forces
 
     def with_prescribed(self, q: Floats) -> Floats:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.foundation.arrays import Bools, Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from app.mechanics.point_forces import normal_force
 from app.mechanics.prescribed_slip import Inputs, LawAtPoints
 from forms.contact import SLIP
@@ -25,12 +25,12 @@ from forms.contact import SLIP
 
 @dataclass(frozen=True)
 class Debonding:
-    """Cohesive response of n points without contact.
+    """Cohesive response of n debonded points without contact.
 
     Attributes:
         traction: Cohesive traction (n, 3) [MPa].
         traction_by_jump: Its derivative with respect to the jump (n, 3, 3) [MPa/mm].
-        share: Debonded share of the area (n,) [-].
+        share: Debonded share of the area, above 0 (n,) [-].
         share_by_jump: Its derivative with respect to the jump (n, 3) [1/mm].
     """
 
@@ -45,18 +45,14 @@ class DebondedContact:
     """Contact of n points, to be added to their cohesive response.
 
     Attributes:
-        acts: True where the point is debonded and not opened (n,). Values at other points have no
-            meaning.
         force: Contact force per area (n, 3) [MPa].
         by_multiplier: Derivative of the force with respect to the multiplier (n, 3, 3) [-].
         by_jump: Derivative of the force with respect to the jump (n, 3, 3) [MPa/mm].
         pressures: Contact pressure on each face (n, faces) [MPa].
         status: OPEN, STICK or SLIP (n,).
-        friction_work: Energy per area that friction dissipates in the step (n,) [N/mm]; 0 where the
-            contact does not act or does not slip.
+        friction_work: Energy per area that friction dissipates in the step (n,) [N/mm].
     """
 
-    acts: Bools
     force: Floats
     by_multiplier: Floats
     by_jump: Floats
@@ -71,7 +67,6 @@ def debonded_contact(
     debonding: Debonding,
     normals: Floats,
     prescribed_tangents: Floats,
-    opened: Bools,
 ) -> DebondedContact:
     """Contact of the debonded share at n points.
 
@@ -84,10 +79,8 @@ def debonded_contact(
         normals: Normals of the faces, zero beyond their number (n, 3, 3).
         prescribed_tangents: Projectors on the prescribed tangential directions (n, 3, 3). There T
             is no part of the multiplier.
-        opened: Mask of points whose contact is switched off (n,).
     """
     r, share = inputs["r"], debonding.share
-    acts = (share > 0) & ~opened
     other_directions = np.eye(3) - prescribed_tangents
     traction = np.einsum("pij,pj->pi", other_directions, debonding.traction)
     multiplier = inputs["multiplier"] - traction
@@ -99,18 +92,16 @@ def debonded_contact(
     by_multiplier = response["by_multiplier"]
     status = np.rint(response["status"]).astype(np.int64)
     friction = contact_force - normal_force(pressures, normals)
-    is_slipping = acts & (status == SLIP)
+    is_slipping = status == SLIP
     traction_by_jump = other_directions @ debonding.traction_by_jump
     by_jump = by_multiplier @ (r[:, None, None] * np.eye(3) - traction_by_jump)
     # The radius of the friction disc is proportional to the share: d friction/d s = friction/s.
-    by_share = np.zeros(len(share))
-    by_share[is_slipping] = 1 / share[is_slipping]
+    by_share = np.where(is_slipping, 1 / share, 0.0)
     by_jump += by_share[:, None, None] * friction[:, :, None] * debonding.share_by_jump[:, None, :]
     force_deficit = np.einsum("pij,pj->pi", other_directions, multiplier - contact_force)
     slip = inputs["jump"] - inputs["jump_old"] + force_deficit / r[:, None]
     friction_work = np.where(is_slipping, np.einsum("pi,pi->p", friction, slip), 0.0)
     return DebondedContact(
-        acts=acts,
         force=contact_force,
         by_multiplier=by_multiplier,
         by_jump=by_jump,

@@ -33,10 +33,6 @@ from app.mechanics.followers import Followers
 from app.numerics.rigid_motions import rotation_vector
 from app.scene.scene import Scene
 
-# Points are paired with their closest facets if errors of gaps may change a pressure by more than
-# this fraction of the largest.
-PAIRING_ACCURACY = 1e-3
-
 
 @dataclass(frozen=True)
 class Paired:
@@ -62,6 +58,8 @@ class FiniteSliding:
         interface_of_point: Interface of each (m,).
         followers: Sides of the interfaces, and the nodes that follow them.
         paired: The last pairing.
+        jump_at_pairing: Jumps of all points of this rank at the last pairing (n, 3) [mm].
+        jump_at_committed_pairing: The same for the committed state; None before the first commit.
         step_rotation: Rotation vector of the master of each point since the last committed step
             (m, 3).
         rotation: Rotation of the master of each point (m, 3, 3).
@@ -69,6 +67,8 @@ class FiniteSliding:
     Args:
         dof: Global blocked dofs of the points of this rank (n,).
     """
+
+    saved = ("jump_at_committed_pairing",)
 
     def __init__(
         self, body_forms: BodyForms, points: LocalPoints, dof: Ints, followers: Followers
@@ -88,32 +88,40 @@ class FiniteSliding:
 
     def begin(self, scene: Scene) -> None:
         """Set the motions of a run."""
-        self._scene, contacts = scene, scene.contacts
-        self._motion = {i: scene.motion_of(contacts[i].master) for i in self._interfaces}
+        self._scene, interfaces = scene, scene.parting_interfaces
+        self._motion = {i: scene.motion_of(interfaces[i].master) for i in self._interfaces}
         centres = {i: np.array(m.about if m else np.zeros(3)) for i, m in self._motion.items()}
         self._centre = self._of_points(centres)
         self._arm = self._points.x[self.rows] - self._centre
-        self.set_time(0.0, 0.0)
+        self._committed_time = 0.0
+        self.jump_at_committed_pairing: Floats | None = None
+        self.set_time(0.0)
 
     def _of_points(self, values: dict[int, Floats]) -> Floats:
         """Values of the interfaces at their points."""
         shape = values[self._interfaces[0]].shape
         return np.array([values[i] for i in self.interface_of_point]).reshape(-1, *shape)
 
-    def set_time(self, committed: float, time: float) -> None:
+    def set_time(self, time: float) -> None:
         """Set rotations to a time, and those since the time of the last committed step."""
         rotations, committed_rotations = (
             {i: self._scene.rotation(m, t) for i, m in self._motion.items()}
-            for t in (time, committed)
+            for t in (time, self._committed_time)
         )
         self.rotation = self._of_points(rotations)
         self.step_rotation = self._of_points(
             {i: rotation_vector(rotations[i] @ committed_rotations[i].T) for i in rotations}
         )
 
+    def commit(self, time: float) -> None:
+        """Commit the current pairs, at a time."""
+        self._committed_time = time
+        self.set_time(time)
+        self.jump_at_committed_pairing = self.jump_at_pairing
+
     def find_pairs(self, jump: Floats) -> Paired:
         """Pair the points, at jumps of all points of this rank (n, 3) [mm]; collective."""
-        self.paired = self._pair_with_surfaces(jump)
+        self.paired, self.jump_at_pairing = self._pair_with_surfaces(jump), jump.copy()
         positions = self.positions_on_masters(jump)
         for i in self.followers.deformable:
             at_interface = self.interface_of_point == i
@@ -151,8 +159,8 @@ class FiniteSliding:
         reference[self.rows] += np.cross(self.step_rotation, self.paired.arm)
         return reference
 
-    def error(self, jump_before: Floats, jump: Floats) -> Floats:
-        """Error at jumps (n, 3) of the gap linearized about jumps before (n, 3): (m,) [mm]."""
-        paired, change = self.paired, (jump - jump_before)[self.rows]
+    def gap_error(self, jump: Floats) -> Floats:
+        """Error at jumps (n, 3) [mm] of the gap linearized about those at the pairing (m,) [mm]."""
+        paired, change = self.paired, (jump - self.jump_at_pairing)[self.rows]
         linear_gap = paired.gap + np.einsum("pi,pi->p", paired.normal, change)
         return np.abs(self._pair_with_surfaces(jump).gap - linear_gap)

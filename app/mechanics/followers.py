@@ -39,7 +39,7 @@ MORTAR_REACH = 0.1
 
 def finitely_sliding(scene: Scene) -> dict[int, Interface]:
     """Interfaces of a scene with finite sliding, by number."""
-    return {i: c for i, c in enumerate(scene.contacts) if c.slides_finitely}
+    return {i: c for i, c in enumerate(scene.parting_interfaces) if c.slides_finitely}
 
 
 def refuse_motions(body_forms: BodyForms) -> None:
@@ -133,7 +133,7 @@ class Followers:
         """Pair an interface, its slave's vertices at x in the master's axes (n, 3) [mm]."""
         master, slave = self.sides[i]
         edge = np.linalg.norm(np.diff(slave.x[slave.triangles[:, :2]], axis=1), axis=2).mean()
-        points = self._scene.contacts[i].law.mortar_points
+        points = self._scene.parting_interfaces[i].law.mortar_points
         pairs = mortar(x, slave.triangles, master.smooth, points, MORTAR_REACH * float(edge))
         pairs_before = self.pairs.get(i)
         if pairs_before:

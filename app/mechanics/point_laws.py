@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ufl import as_ufl
 from ufl.core.expr import Expr
 
-from app.foundation.arrays import Bools, Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from app.interfaces.faces import dual_vectors
 from app.laws import interface_laws
 from app.laws.interface_laws import DEFAULT_AUGMENTATION, AtPoint, InterfaceLaw
@@ -38,12 +38,12 @@ from app.system.timing import Timing
 from forms import contact
 from forms.contact import OPEN
 
-# Prefix of the outputs with new internal variables.
+# An output with this prefix is the new value of an internal variable.
 NEW = "new "
 # Package of the laws of the program.
 LAWS = interface_laws.__name__.rpartition(".")[0]
-# Folders of its modules and of those with formulas. If the text of one changes, or that of this
-# module, `point_forces` or `pointwise`, laws are compiled again.
+# Folders of the formulas and of the laws. Laws are compiled again if a module there changes, or if
+# this module, `point_forces` or `pointwise` does.
 SOURCE_FOLDERS = (Path(contact.__file__).parent, Path(interface_laws.__file__).parent)
 
 
@@ -280,12 +280,8 @@ class PointLaws:
             for name in OUTPUTS.keys() & response.keys():
                 forces.outputs[name][rows] = response[name]
             if group.debonded_kernel is not None:
-                contact_inputs = {name: inputs_at_rows[name] for name in inputs}
-                if law.largest_friction > 0:
-                    contact_inputs["μ"] = self._constants["μ"][rows]
-                contact_at_rows = self._law_at(group.debonded_kernel, rows, state.friction[rows])
                 self._add_debonded_contact(
-                    rows, contact_at_rows, contact_inputs, switches.opened[rows], forces
+                    group, group.debonded_kernel, inputs, state, switches, forces
                 )
         if switches.constrained.any():
             all_faces = np.ones((len(points), 3), dtype=bool)
@@ -298,28 +294,44 @@ class PointLaws:
             open_points(forces, opened)
         return forces
 
-    def _law_at(self, kernel: Pointwise, rows: Ints, last_friction: Floats) -> LawAtPoints:
-        """Return a compiled law of local points (n,), with its force along prescribed jumps.
+    def _law_at(
+        self, kernel: Pointwise, rows: Ints, last_friction: Floats, numbers: Ints | None = None
+    ) -> LawAtPoints:
+        """Return a compiled law of some points, with its force along prescribed jumps.
 
-        The friction of the last converged state is (n, 3) [MPa].
+        Args:
+            kernel: The compiled law.
+            rows: The points (n,).
+            last_friction: Friction of the last converged state (n, 3) [MPa].
+            numbers: Numbers of the points in the kernel (n,); None if it has these points alone.
         """
 
         def compiled(inputs: Inputs) -> Outputs:
-            return kernel.named(**inputs)
+            return kernel.named(numbers, **inputs)
 
         H, M = self._points.prescribed_tangents[rows], self.multiplier_share[rows]
         return partial(prescribed_slip.respond, compiled, H=H, M=M, last_friction=last_friction)
 
     def _add_debonded_contact(
         self,
-        rows: Ints,
-        contact_law: LawAtPoints,
+        group: CompiledGroup,
+        kernel: Pointwise,
         inputs: Inputs,
-        opened: Bools,
+        state: ContactState,
+        switches: Switches,
         forces: PointForces,
     ) -> None:
-        """Add contact of the debonded share to the forces of local points (n,), in place."""
+        """Add contact where the points of a group are debonded and not opened, in place.
+
+        The kernel is the compiled contact law; inputs, state and forces are those of all points.
+        """
         points, outputs = self._points, forces.outputs
+        is_debonded = (outputs["debonded_share"] > 0) & ~switches.opened
+        numbers = np.flatnonzero(is_debonded[group.rows])
+        rows = group.rows[numbers]
+        contact_inputs = {name: values[rows] for name, values in inputs.items()}
+        if group.law.largest_friction > 0:
+            contact_inputs["μ"] = self._constants["μ"][rows]
         debonding = Debonding(
             traction=forces.force[rows],
             traction_by_jump=forces.by_jump[rows],
@@ -327,26 +339,22 @@ class PointLaws:
             share_by_jump=outputs["debonded_share_by_jump"][rows],
         )
         added = debonded_contact(
-            contact_law,
-            inputs,
+            self._law_at(kernel, rows, state.friction[rows], numbers),
+            contact_inputs,
             debonding,
             points.normals[rows],
             points.prescribed_tangents[rows],
-            opened,
         )
-        acts = added.acts
-        contact_rows = rows[acts]
-        forces.force[contact_rows] += added.force[acts]
-        forces.by_multiplier[contact_rows] = added.by_multiplier[acts]
-        forces.by_jump[contact_rows] += added.by_jump[acts]
-        faces = added.pressures.shape[1]
-        forces.pressures[contact_rows, :faces] += added.pressures[acts]
-        forces.status[contact_rows] = added.status[acts]
+        forces.force[rows] += added.force
+        forces.by_multiplier[rows] = added.by_multiplier
+        forces.by_jump[rows] += added.by_jump
+        forces.pressures[rows, : added.pressures.shape[1]] += added.pressures
+        forces.status[rows] = added.status
         forces.debonded_friction_work[rows] = added.friction_work
         motion = np.zeros_like(forces.force)
-        motion[rows] = inputs["jump"] + inputs["initial_gap"]
+        motion[rows] = contact_inputs["jump"] + contact_inputs["initial_gap"]
         tangential_motion = points.tangential(motion, forces.pressures > 0)
-        closed = contact_rows[added.status[acts] != OPEN]
+        closed = rows[added.status != OPEN]
         outputs["slip"][closed] = tangential_motion[closed]
 
 
@@ -415,13 +423,3 @@ def _compliance(
     return np.linalg.inv(
         tangential_stiffness * np.eye(3) + (normal_stiffness - tangential_stiffness) * mean
     )
-
-
-def initial_gap_vectors(normals: Floats, gap: Floats) -> Floats:
-    """Vectors g (n, 3) with g . n_k the given initial gap on every face of each point [mm].
-
-    Args:
-        normals: Unit normals of the faces, zero beyond their number (n, 3, 3).
-        gap: Initial gap (n,) [mm].
-    """
-    return np.linalg.pinv(normals).sum(axis=2) * gap[:, None]

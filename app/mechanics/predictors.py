@@ -24,11 +24,11 @@ from app.foundation.arrays import Floats
 from app.mechanics.problem import Problem
 from app.numerics.newton import Solver
 
-# Earlier states of the run that are kept.
+# Number of states of the run that are kept before the last one.
 KEPT_STATES = 3
-# Other runs whose states are kept, multiples of another one left out.
+# Number of other runs whose states are kept. A run with multiples of the states of another is not.
 KEPT_RUNS = 6
-# States of a run that are kept, its first ones.
+# Number of states of a run that are kept: its first ones.
 STATES_PER_RUN = 20
 # Friction coefficient below which an interface counts as frictionless.
 SMALLEST_FRICTION = 1e-3
@@ -189,9 +189,9 @@ class WarmStart:
 
     def _state(self) -> StateWithInputs:
         problem = self._problem
-        contacts = problem.scene.contacts if problem.comm.rank == 0 else ()
-        friction = np.log([max(c.law.largest_friction, SMALLEST_FRICTION) for c in contacts])
-        gaps = problem.contact.initial_gap.ravel() if problem.contact else np.zeros(0)
+        interfaces = problem.scene.parting_interfaces if problem.comm.rank == 0 else ()
+        friction = np.log([max(c.law.largest_friction, SMALLEST_FRICTION) for c in interfaces])
+        gaps = problem.contact.gaps.initial_gap.ravel() if problem.contact else np.zeros(0)
         return self._solver.x.copy(), (problem.f.array.copy(), gaps, friction)
 
     def _scaled(

@@ -74,8 +74,8 @@ class Problem:
 
     Args:
         augmentation_factor: Ratio of the default augmentation to the softest stiffness [-].
-        same_stiffness: Problem with other contacts and the same constant stiffness, whose inverse
-            is shared.
+        same_stiffness: Problem with other parting interfaces and the same constant stiffness, whose
+            inverse is shared.
 
     Raises:
         InputError: The scene does not fit the mesh.
@@ -98,7 +98,7 @@ class Problem:
         lower_corner = self.comm.allreduce(points.min(axis=0, initial=np.inf), np.minimum)
         upper_corner = self.comm.allreduce(points.max(axis=0, initial=-np.inf), np.maximum)
         self.size = float(np.linalg.norm(upper_corner - lower_corner))
-        self.bodies = bodies_of(tagged, scene.contacts, scene.rigid)
+        self.bodies = bodies_of(tagged, scene.parting_interfaces, scene.rigid)
         self.body_forms = BodyForms(scene, tagged, self.bodies, timing)
         self.space = self.body_forms.space
         self.u = self.body_forms.u
@@ -111,7 +111,7 @@ class Problem:
         self.stiffness: Stiffness = Stiffness(self.body_forms, shared_stiffness, self.followers)
         self.contact = (
             ContactInterfaces(self.body_forms, self.stiffness, augmentation_factor)
-            if scene.contacts
+            if scene.parting_interfaces
             else None
         )
         self.jump_displacements = {

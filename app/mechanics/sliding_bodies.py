@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -22,6 +23,13 @@ from app.mechanics.followers import Followers
 from app.mechanics.stiffness import Stiffness
 from app.scene.scene import Scene
 
+# Bodies without contact move by this multiple of the distance to the first contact [-]. So some
+# points overlap.
+APPROACH_FACTOR = 1.25
+# A point approaches the other side if the cosine of the angle between the normal and its motion is
+# above this [-].
+FACING_COSINE = 0.1
+
 # Displacements of owned nodes without translations of rotating bodies, and these by motion.
 SplitVectors = tuple[Floats, dict[str, Floats]]
 
@@ -30,8 +38,8 @@ class SlidingBodies:
     """State of bodies with finite sliding; made collectively.
 
     The order of calls is: `begin` at rest, or `restore_pairs` and `begin_at` after a restart. Then
-    in each step `follow_pairs` when time or rotations change, `set_committed` before the solve,
-    `update_pairs` after each solve until it returns False, and `commit`.
+    in each step `follow_pairs` when time or rotations change, `set_committed` and `approach` before
+    the solve, `update_pairs` after each solve until it returns False, and `commit`.
 
     Attributes:
         work: Work of finite sliding at owned nodes since the beginning, and on rank 0 that of the
@@ -100,9 +108,9 @@ class SlidingBodies:
         Returns:
             The restored displacement of owned nodes (n, 3) [mm], which pairs do not change.
         """
-        jump = self._contact.jump_at_committed_pairing
+        jump = self._points.jump_at_committed_pairing
         if jump is not None:
-            self._contact.set_pairs(jump)
+            self._contact.gaps.set_pairs(jump)
             self.follow_pairs()
         return self._nodal
 
@@ -131,22 +139,43 @@ class SlidingBodies:
         u, q = stiffness.K.createVecRight(), coupling.D.createVecRight()
         q.array[:] = self._contact.state.jump.ravel()
         self.set_committed(u, q)
-        self._contact.committed_jump = q.array.reshape(-1, 3).copy()
+        self._contact.gaps.committed_jump = q.array.reshape(-1, 3).copy()
+
+    def approach(self, f: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:
+        """Move bodies without contact along forces f [N] until they overlap slightly; collective.
+
+        Newton's method then starts with active contact points, however small the load is. From
+        afar it would not find them.
+        """
+        contact, rows = self._contact, self._points.rows
+        constraints = self._stiffness.constraints
+        rigid_motion = constraints.rigid_motion_along(f)
+        direction = constraints.expand(rigid_motion).array_r.reshape(-1, 3)[self._points.nodes]
+        gap = contact.gaps.at_pairing[rows]
+        closing_speed = np.einsum("pi,pi->p", contact.local.normals[rows, 0], direction)
+        is_closing = closing_speed > FACING_COSINE * np.linalg.norm(direction, axis=1)
+        nearest = float(np.min(gap[is_closing] / closing_speed[is_closing], initial=np.inf))
+        touches = (gap <= 0).any() or contact.state.force[rows].any()
+        # Multiple of the direction up to the first contact.
+        distance = contact.comm.allreduce(0.0 if touches else nearest, MPI.MIN)
+        if np.isfinite(distance):
+            u.axpy(APPROACH_FACTOR * distance, rigid_motion)
+            q.array.reshape(-1, 3)[rows] -= APPROACH_FACTOR * distance * direction
 
     def set_committed(self, u: PETSc.Vec, q: PETSc.Vec) -> None:
         """Set unknowns and jumps to the committed displacements, in the current pairs."""
         self._set_unknowns(self._committed, u, q)
 
     def update_pairs(self, trial: TrialState, u: PETSc.Vec, q: PETSc.Vec) -> bool:
-        """Pair points if errors of gaps change pressures by more than `PAIRING_ACCURACY`.
+        """Pair points as `ContactGaps.update_pairs`; collective.
 
-        Collective. Updated displacements are kept; u and q then express them in the current pairs.
+        Updated displacements are kept; u and q then express them in the current pairs.
 
         Returns:
             True if points were paired.
         """
         displacements = self._split_displacements()
-        if not self._contact.update_pairs(trial):
+        if not self._contact.gaps.update_pairs(trial.jump, trial.forces.pressures):
             return False
         self.follow_pairs()
         self._set_unknowns(displacements, u, q)

@@ -1,7 +1,7 @@
 """Changes of the interface laws that remedies of Newton's method make for a while.
 
-`numerics.remedies` asks `mechanics.contact.ContactInterfaces` for a change and ends it. The changes
-are one value, `Switches`, that `PointLaws.evaluate` takes. The laws themselves keep no trace.
+`numerics.remedies` asks `mechanics.contact_remedies` for a change and ends it. The changes are one
+value, `Switches`, that `PointLaws.evaluate` takes. The laws themselves keep no trace.
 
 The augmentation is no switch: results do not depend on it (`PointLaws.scale_augmentation`).
 """

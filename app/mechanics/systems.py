@@ -309,7 +309,7 @@ class ContactSystem(BondedSystem):
         if not motions.shape[1]:
             return False
         jumps, w = contact.motions.relative(motions), contact.local.weight
-        step_jumps = x[1].array_r.reshape(-1, 3) - contact.reference
+        step_jumps = x[1].array_r.reshape(-1, 3) - contact.gaps.reference
         gram = np.einsum("p,pik,pil->kl", w, jumps, jumps)
         work = np.einsum("p,pik,pi->k", w, jumps, step_jumps)
         step_square = np.einsum("p,pi,pi->", w, step_jumps, step_jumps)

@@ -154,9 +154,9 @@ class Pointwise:
             array = function.x.array.reshape(-1, size)
             array[space.dofmap.list[cells, 0]] = np.reshape(value, (-1, size))
 
-    def named(self, **values: Floats) -> dict[str, Floats]:
-        """Set inputs; return the values of the expressions (n, ...) at all points, by name."""
-        return dict(zip(self.outputs, self(None, **values), strict=True))
+    def named(self, rows: Ints | None = None, /, **values: Floats) -> dict[str, Floats]:
+        """Set inputs; return the values of the expressions (n, ...) by name, as `__call__`."""
+        return dict(zip(self.outputs, self(rows, **values), strict=True))
 
     def __call__(self, rows: Ints | None = None, /, **values: Floats) -> list[Floats]:
         """Set inputs; return the values of the expressions (n, ...) at all points or some rows."""

@@ -15,8 +15,8 @@ from app.numerics.system import SolvedContact
 
 log = logging.getLogger("mantle")
 
-# Factors of the augmentation in the order of trial. True: Newton continues from the current state,
-# else from the start. Mostly the augmentation is too large. None: the line search is switched.
+# Factors of the augmentation in the order of trial; mostly it is too large. True: Newton continues
+# from the current state; False: from the start. None: the line search is switched instead.
 AUGMENTATIONS = ((0.1, True), (0.01, True), None, (100.0, False), (0.1, False), (0.01, False), None)
 # Factors of the default augmentation, tried last if the case sets another one.
 DEFAULT_FACTORS = (1.0, 0.1, 0.01)
@@ -24,11 +24,11 @@ DEFAULT_FACTORS = (1.0, 0.1, 0.01)
 # `stress/stem.yaml`, where the critical friction coefficient is 1.4, a coefficient of 10 needs
 # shares down to 0.25, and one of 1000 the smallest.
 SHARES = (0.5, 0.25, 0.125, 0.0625, 0.03, 0.015)
-# Relative difference of the two below which they are the same [-].
+# Given pressures and those of the state are the same below this relative difference [-].
 SAME_PRESSURES = 1e-3
-# Updates without a halved difference after which the next share is taken.
+# Largest number of updates that do not halve this difference. Then the next share is tried.
 MOST_UPDATES = 20
-# Fraction of the default augmentation below which a solution is refined with the default.
+# A solution is refined with the default augmentation if its own is below this fraction of it [-].
 SMALL_AUGMENTATION = 0.05
 
 
@@ -41,9 +41,9 @@ def solve(solver: Solver) -> NewtonResult:
         contact.laws.scale_augmentation(solver.augmentation)
     runs: list[tuple[int, int]] = []
     start = solver.x.copy() if contact else solver.x
-    if contact and contact.freeze():
+    if contact and contact.remedies.freeze():
         runs.append(solver.run())
-        contact.unfreeze()
+        contact.remedies.unfreeze()
         if not solver.converged:
             start.copy(solver.x)
     runs.append(solver.run())
@@ -133,8 +133,8 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
         yield from _with_switched_interfaces(
             solver,
             start,
-            contact.constrain,
-            contact.release,
+            contact.remedies.constrain,
+            contact.remedies.release,
             closed,
             "releasing these interfaces",
         )
@@ -142,8 +142,8 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
         yield from _with_switched_interfaces(
             solver,
             start,
-            contact.open,
-            contact.allow_closing,
+            contact.remedies.open,
+            contact.remedies.allow_closing,
             "opening all interfaces",
             overlap,
         )
@@ -223,7 +223,7 @@ def _with_tresca_friction(
 
     Where a solve under given pressures does not converge, the state is that before the remedy.
     """
-    if not contact.begin_tresca_friction():
+    if not contact.remedies.begin_tresca_friction():
         return
     before = solver.x.copy()
     start.copy(solver.x)
@@ -231,7 +231,7 @@ def _with_tresca_friction(
         yield "limiting friction by given pressures, which follow those of the state"
         yield from _following_pressures(solver, contact)
     finally:
-        contact.end_tresca_friction()
+        contact.remedies.end_tresca_friction()
     if solver.converged:
         yield "limiting friction by the pressures of the state"
     else:
@@ -244,7 +244,7 @@ def _following_pressures(solver: Solver, contact: SolvedContact) -> Iterator[str
         least, updates = math.inf, 0
         while updates < MOST_UPDATES and solver.converged:
             solver.residual(solver.x)
-            difference = contact.relax_tresca_friction(share)
+            difference = contact.remedies.relax_tresca_friction(share)
             if difference < SAME_PRESSURES:
                 return
             yield ""

@@ -60,18 +60,11 @@ class ContactLaw(Protocol):
         """
 
 
-class SolvedContact(Protocol):
-    """Interface between the nonlinear solver and the contact of a system.
+class LawRemedies(Protocol):
+    """Interface between the nonlinear solver and what it changes in the laws for a while.
 
-    `app.mechanics.contact.ContactInterfaces` implements it, and says more.
+    `app.mechanics.contact_remedies.ContactRemedies` implements it, and says more.
     """
-
-    @property
-    def laws(self) -> ContactLaw:
-        """Laws at the local points."""
-
-    def augmentation(self) -> dict[str, float]:
-        """Augmentation of each interface that can open [MPa/mm], by name; collective."""
 
     def constrain(self) -> bool:
         """Constrain interfaces that have to close to hold a body; collective."""
@@ -95,10 +88,28 @@ class SolvedContact(Protocol):
         """Limit friction by given pressures, zero at first; collective."""
 
     def relax_tresca_friction(self, share: float) -> float:
-        """Move the given pressures by a share towards those of the last state; collective."""
+        """Move the given pressures by a share towards those of the last evaluation; collective."""
 
     def end_tresca_friction(self) -> None:
         """Limit friction by the pressures of the state."""
+
+
+class SolvedContact(Protocol):
+    """Interface between the nonlinear solver and the contact of a system.
+
+    `app.mechanics.contact.ContactInterfaces` implements it, and says more.
+    """
+
+    @property
+    def laws(self) -> ContactLaw:
+        """Laws at the local points."""
+
+    @property
+    def remedies(self) -> LawRemedies:
+        """Changes of the laws that remedies ask for."""
+
+    def augmentation(self) -> dict[str, float]:
+        """Augmentation of each interface that can open [MPa/mm], by name; collective."""
 
 
 class System(Protocol):

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 def _after_insertion(case: Case, followed: RecordedModel) -> AfterInsertion | None:
     """The record of a run, or None if nothing in its case is pressed in; collective."""
     contact = followed.problem.contact
-    if contact is None or not contact.insertion_time > 0.5:  # stages end at whole times
+    if contact is None or not contact.gaps.insertion_time > 0.5:  # stages end at whole times
         return None
     from app.press_fit.after_insertion import AfterInsertion  # starts MPI
 

@@ -47,7 +47,7 @@ class AfterInsertion(Record):
         def step(accepted: LoadStep, trial: TrialState | None) -> None:
             contact = self._followed.problem.contact
             assert contact is not None
-            at_end = abs(accepted.time - contact.insertion_time) < 1e-6
+            at_end = abs(accepted.time - contact.gaps.insertion_time) < 1e-6
             if at_end and trial is not None:
                 self.inserted = {"interfaces": self._interfaces(trial), "regions": self._strains()}
             on_step(accepted, trial)
@@ -63,9 +63,10 @@ class AfterInsertion(Record):
         problem, zones = self._followed.problem, self._followed.zones
         surface = trial.contact.points.surface
         levels = zones.borders(surface.x) if zones else {}
-        surface_parts = in_parts(surface, [c.name for c in problem.scene.contacts], levels)
+        interfaces = problem.scene.parting_interfaces
+        surface_parts = in_parts(surface, [c.name for c in interfaces], levels)
         numbers = ContactSamples(problem, trial, None, surface_parts).numbers
-        pressed = [c.name for c in problem.scene.contacts if c.press_fit]
+        pressed = [c.name for c in interfaces if c.press_fit]
         return {name: _of_insertion(numbers[name]) for name in pressed}
 
     def _strains(self) -> dict[str, Numbers]:

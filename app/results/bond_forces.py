@@ -36,9 +36,9 @@ from app.results.surface_parts import Surface, in_parts
 from app.scene.bodies import (
     Bodies,
     boundary_facets,
-    contact_facets,
     facet_nodes,
     facets_between,
+    facets_of_interfaces,
     pieces_of,
 )
 from app.scene.frames import vertex_constraints
@@ -238,7 +238,9 @@ class BondForces:
             body[piece] = problem.bodies.body_of_region[region]
         if frames is not None:
             frames = replace(frames, acts=frames.acts[:, body])
-        facets = contact_facets(problem.tagged, pieces, problem.space, interfaces, scene.moduli)
+        facets = facets_of_interfaces(
+            problem.tagged, pieces, problem.space, interfaces, scene.moduli
+        )
         constraints, axes = vertex_constraints(
             frames, problem.tagged, pieces, problem.space, scene.supports, facets
         )
@@ -270,7 +272,7 @@ class BondForces:
         Pieces that touch without an interface have an unnamed bond.
         """
         problem = self._problem
-        conforming = [c for c in problem.scene.contacts if not c.slides_finitely]
+        conforming = [c for c in problem.scene.parting_interfaces if not c.slides_finitely]
         pieces, other_pieces = pieces_of(problem.tagged, [*self._bonds, *conforming])
         unnamed = [
             replace(self._bonds[0], name=f"{a}_{b}", master=(a,), slave=(b,))

@@ -290,12 +290,12 @@ class MechanicalFields:
             surface = self._problem.contact.points.surface
             rows = _contact_rows(surface, self.space, self.bodies, nodes)
             recorded = [record.surface_fields() for record in self._records]
-            for i, contact in enumerate(self._problem.scene.contacts):
-                point_fields |= _interface(contact, samples, rows[i])
+            for i, interface in enumerate(self._problem.scene.parting_interfaces):
+                point_fields |= _interface(interface, samples, rows[i])
                 for fields in [
-                    fields_by_contact[contact.name]
-                    for fields_by_contact in recorded
-                    if contact.name in fields_by_contact
+                    fields_by_interface[interface.name]
+                    for fields_by_interface in recorded
+                    if interface.name in fields_by_interface
                 ]:
                     (master_rows,) = _contact_rows(fields.master, self.space, self.bodies, nodes)
                     for key, (slave, master) in fields.values.items():
@@ -304,7 +304,7 @@ class MechanicalFields:
                         side_values = _values_on_rows(rows[i], all_values) + _values_on_rows(
                             master_rows, master
                         )
-                        point_fields[f"{contact.name}_{key}"] = side_values
+                        point_fields[f"{interface.name}_{key}"] = side_values
         bonds = self._bonds.indices()
         if bonds:
             surface, indices = bonds
@@ -433,7 +433,7 @@ def _values_on_rows(rows: Ints, values: Floats) -> Floats:
     return node_values
 
 
-def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, Floats]:
+def _interface(interface: Interface, s: ContactSamples, rows: Ints) -> dict[str, Floats]:
     """Return the fields of an interface at the nodes of the grid; elsewhere 0, and -1 for status.
 
     Fields are linear along edges. The status in the middle of an edge is that of the more mobile
@@ -443,21 +443,24 @@ def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, F
     end_status = s.status[rows[has_point]]
     status[has_point] = np.where((end_status == OPEN).any(axis=1), OPEN, end_status.max(axis=1))
     fields = {
-        **{variable: s.internal_variables[variable] for variable in contact.law.internal_variables},
+        **{
+            variable: s.internal_variables[variable]
+            for variable in interface.law.internal_variables
+        },
         **{"gap": s.opening, "slip": s.slip, "slip_path": s.path, "motion": s.motion},
         **{"pressure": s.pressure, "shear": s.shear},
     }
-    if contact.slides_finitely:
+    if interface.slides_finitely:
         del fields["motion"], fields["slip"]
-    if contact.press_fit:
+    if interface.press_fit:
         fields["micromotion"] = s.micromotion
-    strength = contact.law.strength
+    strength = interface.law.strength
     if strength:
         fields["failure_index"] = strength.index(s.pressure, s.shear)
     named_fields = {
-        f"{contact.name}_{key}": _values_on_rows(rows, values) for key, values in fields.items()
+        f"{interface.name}_{key}": _values_on_rows(rows, values) for key, values in fields.items()
     }
-    return named_fields | {f"{contact.name}_status": status}
+    return named_fields | {f"{interface.name}_status": status}
 
 
 # The output of one physics of a run.

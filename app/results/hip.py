@@ -29,6 +29,7 @@ from meshes.gruen import Zones
 END_FRACTION = 1e-6
 # Interfaces of a stem and its collar.
 ON_STEM = ("stem_cement", "stem_bone", ON_CUT)
+# Numbers of the two ends of a stem.
 ENDS = ("tip_displacement", "top_displacement")
 
 
@@ -93,7 +94,7 @@ class StemMotion:
 
         def step(accepted: LoadStep, trial: TrialState | None) -> None:
             contact = self._problem.contact
-            if contact is not None and contact.is_inserting and self._nearest is not None:
+            if contact is not None and contact.gaps.is_inserting and self._nearest is not None:
                 self.at_insertion = self._motion(nodal_displacements(self._problem), self._nearest)
             on_step(accepted, trial)
 
@@ -314,11 +315,11 @@ def by_zone(
         }
     if samples is not None:
         zones_of_points = zones.zones_at(samples.x) * zones.touches(samples.x)[:, None]
-        for i, contact in enumerate(problem.scene.contacts):
+        for i, interface in enumerate(problem.scene.parting_interfaces):
             for zone in zones.numbers:
                 in_zone = (samples.interface == i) & (zones_of_points == zone).any(axis=1)
                 if in_zone.any():
-                    numbers_of_zone[str(zone)]["interfaces"][contact.name] = _interface(
+                    numbers_of_zone[str(zone)]["interfaces"][interface.name] = _interface(
                         samples, i, in_zone
                     )
     return numbers_of_zone
@@ -345,7 +346,7 @@ def _interface(s: ContactSamples, i: int, mask: NDArray[np.bool_]) -> dict[str, 
     weight, tractions = s.weight[mask], s.tractions[i]
     numbers: dict[str, float] = {}
     names = ["gap", "slip", "motion", "pressure", "shear"]
-    if s.contacts[i].press_fit:
+    if s.interfaces[i].press_fit:
         names.append("micromotion")
     for name in names:
         value = mean = s.sizes[name].reshape(len(s.x), -1).max(axis=1)

@@ -41,12 +41,12 @@ MICROMOTION = 0.030
 # Levels of micromotion [mm] with the ends of their keys. In dogs bone grew in partly at 40 um, and
 # not at 150 um (Jasty 1997).
 INGROWTH = {"40um": 0.040, "150um": 0.150}
-# Fraction of the longest path of sliding. A point at its friction limit sticks if it slides less
-# than this in a step, so that rounding does not decide while loads are constant.
+# A point at its friction limit sticks if it slides less than this fraction of the longest path of
+# sliding in a step [-]. So rounding does not decide while loads are constant.
 AT_REST = 1e-9
-# Fraction of the force over the augmentation: a face that is open by less is closed.
+# A face is closed if its opening is below this fraction of the force over the augmentation [-].
 CLOSED = 1e-6
-# Fraction of the largest pressure above which the effect of facets on it is reported.
+# The effect of facets on pressures is reported above this fraction of the largest pressure [-].
 DECIDED = 0.2
 
 
@@ -69,7 +69,7 @@ def least_friction(trial: TrialState) -> tuple[Floats, Floats]:
     """
     contact, law, normals = trial.contact, trial.forces, trial.contact.local.normals
     pressures, friction = law.pressures.copy(), contact.state.friction.copy()
-    opening, is_face = contact.openings(trial.jump), contact.local.is_face
+    opening, is_face = contact.gaps.openings(trial.jump), contact.local.is_face
     rounding = CLOSED * np.linalg.norm(law.force, axis=1) / contact.laws.augmentation
     is_closed = np.where(is_face, np.abs(opening) <= rounding[:, None], True).all(axis=1)
     has_edge = (contact.local.faces > 1) & (law.status == STICK)
@@ -90,7 +90,7 @@ def least_friction(trial: TrialState) -> tuple[Floats, Floats]:
 def overlap_of_faces(trial: TrialState) -> Floats:
     """Return the overlap of the faces of local points (n, 3) [mm], 0 where they are open."""
     contact = trial.contact
-    opening = contact.openings(trial.jump)
+    opening = contact.gaps.openings(trial.jump)
     return np.where(contact.local.is_face, np.maximum(-opening, 0.0), 0.0)
 
 
@@ -167,7 +167,7 @@ class ContactSamples:
         contact_work: Work of the pressures in the opening (n,) [N mm].
         stored: Energy stored by layers and cohesion (n,) [N mm].
         internal_variables: Internal variables of the laws, by name: (n, ...).
-        contacts: The interfaces.
+        interfaces: The interfaces.
         facet_sizes: Mean length of the edges of their facets [mm].
         all_corners: Corners and facets of all interfaces.
         sizes: Sizes of motion [mm] and tractions [MPa] of each point (n,) or face (n, 3), by name.
@@ -199,19 +199,21 @@ class ContactSamples:
         self.all_corners = corners
         self.interface, self.x, self.weight = corners.interface, corners.x, corners.weight
         motion = motion_since(0.0)
-        opening = np.einsum("pi,pki->pk", motion + at_corners(contact.initial_gap), corners.normals)
+        opening = np.einsum(
+            "pi,pki->pk", motion + at_corners(contact.gaps.initial_gap), corners.normals
+        )
         is_face = np.arange(3)[None, :] < corners.faces[:, None]
-        for i, interface in enumerate(problem.scene.contacts):
-            if interface.off_bone is not None:
-                opening[(corners.interface == i) & interface.off_bone(self.x)] = 0.0
+        interfaces = problem.scene.parting_interfaces
+        for i, c in enumerate(interfaces):
+            if c.off_bone is not None:
+                opening[(corners.interface == i) & c.off_bone(self.x)] = 0.0
         self.gap = np.where(is_face, opening, 0.0)
         self.opening = np.max(opening, axis=1, where=is_face, initial=-np.inf)
         # The law holds at the contact points. Some of them have the mean jump of several corners.
         self.penetration = contact.gather(overlap_of_faces(trial))
         self.interface_of_contact_point = points.interface
         # The second side of the case may be the slave or the master.
-        contacts = problem.scene.contacts
-        signs = np.array([-1.0 if c.swapped else 1.0 for c in contacts])
+        signs = np.array([-1.0 if c.swapped else 1.0 for c in interfaces])
         sign = signs[local.interface][:, None]
         self.slip, self.path = at_corners(sign * state.slip), at_corners(state.path)
         self.motion = signs[corners.interface][:, None] * motion
@@ -237,23 +239,23 @@ class ContactSamples:
             "pressure": self.pressure,
             "shear": self.shear,
         }
-        if any(c.press_fit for c in contacts):
+        if any(c.press_fit for c in interfaces):
             self.micromotion = signs[corners.interface][:, None] * motion_since(state.inserted)
             self.sizes["micromotion"] = np.linalg.norm(self.micromotion, axis=1)
         if since is not None:
             self.sizes["inducible"] = np.linalg.norm(motion_since(since), axis=1)
-        self._contact, self._jump, self.contacts = contact, trial.jump, contacts
+        self._contact, self._jump, self.interfaces = contact, trial.jump, interfaces
         # If a normal is wrong by an angle, slip times this angle is an overlap with pressure.
         pressed = np.linalg.norm(state.slip, axis=1) * points.normal_error[local.rows]
         self.by_facets = contact.gather(contact.laws.softest_stiffness * pressed)
         self._body_stiffness = at_corners(contact.laws.softest_stiffness)
         self.facet_sizes = contact.edge_lengths
-        self.surfaces = parts or [Surface(corners, i, {}) for i in range(len(contacts))]
+        self.surfaces = parts or [Surface(corners, i, {}) for i in range(len(interfaces))]
 
     @cached_property
     def tractions(self) -> list[dict[str, TractionSize]]:
         """Return pressure and shear of each interface, by the name of the traction."""
-        return [self._tractions(i) for i in range(len(self.contacts))]
+        return [self._tractions(i) for i in range(len(self.interfaces))]
 
     def _tractions(self, i: int) -> dict[str, TractionSize]:
         surface = self.surfaces[i]
@@ -263,10 +265,10 @@ class ContactSamples:
         }
         point_means = {"pressure": self.pressure.copy(), "shear": self.shear}
         # With finite sliding, forces per area are not means weighted by shape functions.
-        if self.contacts[i].slides_finitely:
+        if self.interfaces[i].slides_finitely:
             return {k: TractionSize(m, m, point_means[k]) for k, m in means.items()}
         means["pressure"] = surface.of_faces(self._pressures)
-        if self.contacts[i].law.layer is None:
+        if self.interfaces[i].law.layer is None:
             means["shear"] = shear_of_faces(self.shear, self._pressures, means["pressure"])
         point_means["pressure"] = self._pressures.sum(axis=1)
         shares = self._recovered_shares(i)
@@ -286,7 +288,7 @@ class ContactSamples:
         Returns:
             Parts [-] (n, 1), by the name of the traction; 1 without springs.
         """
-        stiffnesses = self.contacts[i].law.spring_stiffness
+        stiffnesses = self.interfaces[i].law.spring_stiffness
         if stiffnesses is None:
             return {"pressure": 1.0, "shear": 1.0}
         normal, tangential = (1 / (1 + self._body_stiffness / k) for k in stiffnesses)
@@ -297,17 +299,17 @@ class ContactSamples:
         """Return motion, tractions and states of each interface by its name; collective."""
         depths = overlap(self._contact, self._jump)
         numbers = {}
-        for i, contact in enumerate(self.contacts):
-            numbers[contact.name] = _numbers(self, i)
-            if not contact.slides_finitely:
-                numbers[contact.name] |= depths[i] | {"facet_size": self.facet_sizes[i]}
+        for i, c in enumerate(self.interfaces):
+            numbers[c.name] = _numbers(self, i)
+            if not c.slides_finitely:
+                numbers[c.name] |= depths[i] | {"facet_size": self.facet_sizes[i]}
         return numbers
 
     @cached_property
     def step_numbers(self) -> dict[str, Numbers]:
         """Return the numbers of every step, which include the columns of history.csv."""
         selected = {key for key, q in TABLE["interfaces"].items() if q.step_record} | OF_CYCLES
-        return {c.name: _numbers(self, i, selected) for i, c in enumerate(self.contacts)}
+        return {c.name: _numbers(self, i, selected) for i, c in enumerate(self.interfaces)}
 
 
 def _numbers(s: ContactSamples, i: int, selected: set[str] | None = None) -> Numbers:
@@ -328,14 +330,14 @@ def _numbers(s: ContactSamples, i: int, selected: set[str] | None = None) -> Num
     }
     if selected:
         return main
-    if s.contacts[i].law.compresses:
+    if s.interfaces[i].law.compresses:
         main["compression_max"] = main["penetration_max"]
     main["pressure_mean_max"], _ = surface.field(s.tractions[i]["pressure"].mean, "").maximum()
     by_facets = float(s.by_facets[s.interface_of_contact_point == i].max(initial=0.0))
     if by_facets > DECIDED * main["pressure_max"]:
         main["pressure_by_facets"] = by_facets
     zones = {}
-    for name, level in s.contacts[i].zones.items():
+    for name, level in s.interfaces[i].zones.items():
         zone_surface = Surface(s.all_corners, i, {**surface.borders, name: level(s.x)})
         if zone_surface.weight[name].any():
             zones[name] = _of_part(s, i, zone_surface, name, None)
@@ -346,13 +348,13 @@ def _numbers(s: ContactSamples, i: int, selected: set[str] | None = None) -> Num
 
 def _damage(s: ContactSamples, i: int) -> dict[str, float]:
     """Return areas [mm2], mean damage [-] and process zone [mm] of an interface with damage."""
-    contact = s.contacts[i]
-    if not {"damage", "spent"} <= contact.law.internal_variables.keys():
+    interface = s.interfaces[i]
+    if not {"damage", "spent"} <= interface.law.internal_variables.keys():
         return {}
     mask, surface, weight = s.interface == i, s.surfaces[i], s.weight
     unbonded = np.ones(len(mask))
     unbonded[mask] = (
-        contact.constants["unbonded"](s.x[mask]) if "unbonded" in contact.constants else 0.0
+        interface.constants["unbonded"](s.x[mask]) if "unbonded" in interface.constants else 0.0
     )
     bonded = weight * (1 - unbonded)
     dissipated = np.where(unbonded < 1, s.internal_variables["spent"], 0.0)
@@ -371,12 +373,12 @@ def _of_part(
     s: ContactSamples, i: int, surface: Surface, part: str, selected: set[str] | None
 ) -> Numbers:
     """Return sizes of motion and tractions, states, area and force of a part of an interface."""
-    contact = s.contacts[i]
+    interface = s.interfaces[i]
     numbers: Numbers = {}  # of functions, what is asked for is computed
     tractions = s.tractions[i]
     # With finite sliding the jump is not a motion, a gap not a debonding, and slips do not add up.
-    left_out = ("slip", "motion", "inducible") if contact.slides_finitely else ()
-    if not contact.press_fit:
+    left_out = ("slip", "motion", "inducible") if interface.slides_finitely else ()
+    if not interface.press_fit:
         left_out = (*left_out, "micromotion")
     for name, values in s.sizes.items():
         if name in left_out:
@@ -391,9 +393,9 @@ def _of_part(
             f"{name}_p99": partial(field.percentile, 0.99),
             f"{name}_mean": surface.field(mean, part).mean,
         }
-        if name in ("gap", "slip", "motion") and not contact.slides_finitely:
+        if name in ("gap", "slip", "motion") and not interface.slides_finitely:
             numbers[f"area_{name}_over_30um"] = partial(field.area_above, MICROMOTION)
-        if name == "micromotion" or (name == "inducible" and contact.press_fit):
+        if name == "micromotion" or (name == "inducible" and interface.press_fit):
             numbers |= {
                 f"area_{name}_over_{key}": partial(field.area_above, level)
                 for key, level in INGROWTH.items()
@@ -403,9 +405,9 @@ def _of_part(
         numbers[f"{name}_fraction"] = float(weight[s.status == state].sum() / weight.sum())
     numbers["area"] = float(weight.sum())
     numbers["force"] = lambda: (weight @ s.force).tolist()
-    if contact.law.strength:
+    if interface.law.strength:
         values = (traction.value for traction in tractions.values())
-        numbers |= failing(surface, contact.law.strength.index(*values), part)
+        numbers |= failing(surface, interface.law.strength.index(*values), part)
     computed_numbers: Numbers = {}
     for key, value in numbers.items():
         if not selected or key in selected:
@@ -450,7 +452,7 @@ def overlap(contact: ContactInterfaces, jump: Floats) -> list[dict[str, float]]:
     """
     motion = _motion(contact, jump)
     surface = contact.points.surface
-    gap = surface.spread(contact.gather(contact.initial_gap))
+    gap = surface.spread(contact.gather(contact.gaps.initial_gap))
     clearance = np.einsum("pi,pi->p", gap, surface.normals[:, 0])
     penetrations = []
     for rows, triangles in zip(surface.facets, surface.triangles, strict=True):

@@ -1,6 +1,6 @@
 """Bodies of a scene on its mesh: regions that move together, and the facets between them.
 
-A body is a set of regions that no contact interface separates. The functions of this module read
+A body is a set of regions that no parting interface separates. The functions of this module read
 the distributed mesh: regions, boundaries, and facets between regions.
 `app.interfaces.contact_points` then works on the gathered facets.
 """
@@ -36,6 +36,7 @@ def _facet_nodes() -> Ints:
     return np.array(nodes)
 
 
+# Nodes of each facet of a tetrahedron of second order (4, 6).
 FACET_NODES = _facet_nodes()
 
 
@@ -79,14 +80,16 @@ def cell_tags(tagged: TaggedMesh) -> Ints:
     return tags
 
 
-def bodies_of(tagged: TaggedMesh, contacts: Sequence[Interface], rigid: Sequence[Rigid]) -> Bodies:
-    """Bodies of a scene: regions that touch without a contact interface are joined; collective.
+def bodies_of(
+    tagged: TaggedMesh, parting_interfaces: Sequence[Interface], rigid: Sequence[Rigid]
+) -> Bodies:
+    """Bodies of a scene: regions that touch without a parting interface are joined; collective.
 
     Raises:
-        InputError: The sides of a contact interface are joined by other regions.
+        InputError: The sides of a parting interface are joined by other regions.
     """
     region_of_tag = {tag: region for region, tag in tagged.regions.items()}
-    separated = _separated(tagged, contacts)
+    separated = _separated(tagged, parting_interfaces)
     joined = [pair for pair in _touching(tagged) if frozenset(pair) not in separated]
     label_of_tag = _labels(tagged, joined)
     # If supports hold both sides of a jump, the first body is the base. A rigid body comes first.
@@ -102,7 +105,7 @@ def bodies_of(tagged: TaggedMesh, contacts: Sequence[Interface], rigid: Sequence
         body_of_tag[tag] = body
         body_of_region[region] = body
         regions_of_bodies[body].append(region)
-    for c in contacts:
+    for c in parting_interfaces:
         master_bodies = {body_of_region[region] for region in c.master}
         slave_bodies = {body_of_region[region] for region in c.slave}
         if master_bodies & slave_bodies:
@@ -217,14 +220,14 @@ def _local_numbers(tagged: TaggedMesh, facets: Ints, cells: Ints) -> Ints:
     return np.argmax(facets_of_cells[cells] == facets[:, None], axis=1)
 
 
-def contact_facets(
+def facets_of_interfaces(
     tagged: TaggedMesh,
     bodies: Bodies,
     space: fem.FunctionSpace,
-    contacts: Sequence[Interface],
+    interfaces: Sequence[Interface],
     moduli: Mapping[str, float],
 ) -> InterfaceFacets:
-    """Facets of all contact interfaces, on all ranks in the same order; collective.
+    """Facets of interfaces, on all ranks in the same order; collective.
 
     ``moduli`` are the moduli of regions, 0 if absent: jumps move the softer side.
 
@@ -236,7 +239,7 @@ def contact_facets(
     for region, modulus in moduli.items():
         stiffness[tagged.regions[region]] = modulus
     columns_of_interfaces = []
-    for index, c in enumerate(contacts):
+    for index, c in enumerate(interfaces):
         f = facets_between(tagged, c.slave, c.master)
         if comm.allreduce(len(f.cells)) == 0 and not c.slides_finitely:
             raise InputError(

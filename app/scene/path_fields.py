@@ -165,21 +165,21 @@ def available_path_fields(case: Case, scene: Scene, interface: str) -> dict[str,
 def _of_interface(scene: Scene, interface: str) -> list[PathField]:
     """Fields of an interface."""
     fields: list[PathField] = []
-    for contact in scene.contacts:
-        if contact.name != interface:
+    for c in scene.parting_interfaces:
+        if c.name != interface:
             continue
         fields += CONTACT
         fields += [
             PathField(name, name.replace("_", " "), "-", axes=VECTOR if shape else ())
-            for name, shape in contact.law.internal_variables.items()
+            for name, shape in c.law.internal_variables.items()
         ]
-        if contact.press_fit:
+        if c.press_fit:
             fields.append(MICROMOTION)
-        if contact.slides_finitely:
+        if c.slides_finitely:
             fields += [PathField(f.name, f.label, f.unit) for f in INTERFACE_FIELDS.values()]
         else:
             fields += SMALL_SLIDING
-    with_strength = [i.name for i in (*scene.contacts, *scene.bonds) if i.law.strength]
+    with_strength = [i.name for i in (*scene.parting_interfaces, *scene.bonds) if i.law.strength]
     if interface in with_strength:
         fields.append(FAILURE)
     if interface in [jump.name for jump in scene.thermal_contacts]:

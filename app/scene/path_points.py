@@ -28,7 +28,7 @@ def path_points(case: Case, scene: Scene, data: MeshData, path: AnyPath) -> Path
     else:
         # Contact points of finite sliding lie on the slave, the second boundary.
         boundaries_of_contact = {
-            c.name: (c.between[0], c.between[1]) for c in scene.contacts if c.between
+            c.name: (c.between[0], c.between[1]) for c in scene.parting_interfaces if c.between
         }
         facets = paths.facets_of_interface(
             data, path.interface, region, boundaries_of_contact.get(path.interface)

@@ -40,6 +40,7 @@ from app.numerics.rigid_motions import rotation_vector
 if TYPE_CHECKING:  # a scene made in Python needs no cases
     from app.case.case import Case
 
+# Default of arguments with laws by name: none.
 NO_LAWS: Mapping[str, Any] = MappingProxyType({})
 
 
@@ -93,7 +94,8 @@ class Scene:
 
     Attributes:
         order: Polynomial order of the displacement.
-        contacts: Interfaces whose sides can part.
+        parting_interfaces: Interfaces whose sides can move relative to each other: all laws except
+            bonded ones (`InterfaceLaw.can_part`). The jumps on them are unknowns.
         bonds: Bonded interfaces with a deformable side.
         conductors: Regions that conduct heat.
         thermal_contacts: Interfaces with a temperature jump.
@@ -115,7 +117,7 @@ class Scene:
     foundations: tuple[Foundation, ...]
     supports: tuple[Support, ...]
     loads: tuple[Load, ...]
-    contacts: tuple[Interface, ...]
+    parting_interfaces: tuple[Interface, ...]
     stages: tuple[Stage, ...]
     conductors: tuple[Thermal, ...] = ()
     heat: tuple[HeatCondition, ...] = ()
@@ -330,7 +332,7 @@ def scene_of(
         ),
         loads=tuple(split_loads),
         motions=tuple(motion.named(name) for name, motion in motions.items()),
-        contacts=tuple(i for i in all_interfaces if i.law.can_part),
+        parting_interfaces=tuple(i for i in all_interfaces if i.law.can_part),
         bonds=tuple(i for i in all_interfaces if not i.law.can_part and math.isfinite(i.modulus)),
         stages=stages,
         period=cycle_times[-1] - cycle_times[0],

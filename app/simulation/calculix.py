@@ -125,7 +125,7 @@ class _Deck:
     def __init__(self, case: Case, data: MeshData) -> None:
         self.case, self.scene = case, build_scene(case)
         self.tagged = distribute(data, MPI.COMM_SELF)
-        self.bodies = bodies_of(self.tagged, self.scene.contacts, ())
+        self.bodies = bodies_of(self.tagged, self.scene.parting_interfaces, ())
         self.forms = BodyForms(self.scene, self.tagged, self.bodies, Timing())
         self.space, self.tags = self.forms.space, cell_tags(self.tagged)
         keys = self._keys(self.space.dofmap.list, self.tags)
@@ -150,7 +150,7 @@ class _Deck:
             yield from self._varying(e, rows) if e.varies else _material(e)
         for name in self.tagged.boundaries:
             yield from self._surface(name, boundary_facets(self.tagged, name))
-        for i in self.scene.contacts:
+        for i in self.scene.parting_interfaces:
             sides = (("slave", i.slave, i.master), ("master", i.master, i.slave))
             for side, inside, outside in sides:
                 f = facets_between(self.tagged, inside, outside)
@@ -171,7 +171,7 @@ class _Deck:
             for node, c in np.argwhere(total):
                 yield f"{node + 1}, {c + 1}, {_real(total[node, c])}"
             yield "*NODE FILE\nU, RF\n*EL FILE\nS"
-            if self.scene.contacts:
+            if self.scene.parting_interfaces:
                 yield "*CONTACT FILE\nCDIS, CSTR"
             yield "*END STEP"
 

@@ -88,8 +88,8 @@ class Mechanical:
             if problem.contact:
                 surface = problem.contact.points.surface
                 levels = zones.borders(surface.x)
-                contact_names = [contact.name for contact in problem.scene.contacts]
-                self.surfaces = in_parts(surface, contact_names, levels)
+                names = [c.name for c in problem.scene.parting_interfaces]
+                self.surfaces = in_parts(surface, names, levels)
         self.stresses = Stresses(problem, geometry.is_around_z, depth)
         borders = self.zones.borders if self.zones else None
         self.bonds = BondForces(problem, self.stresses, borders)
@@ -456,8 +456,8 @@ def _stiffness(case: Case) -> tuple[object, ...]:
 def _matrices(case: Case) -> tuple[object, ...]:
     """All data of a case on which its matrices and compiled forms depend."""
     loads = [(name, load.form_key) for name, load in case.loads.items()]
-    contacts = [name for name, law in case.interfaces.items() if law.can_part]
-    return *_stiffness(case), loads, contacts
+    parting = [name for name, law in case.interfaces.items() if law.can_part]
+    return *_stiffness(case), loads, parting
 
 
 def _mesh_hash(data: MeshData) -> str:

@@ -93,7 +93,7 @@ def directions(support: AnySupport, parts: MeshPieces, nodes: Ints) -> Floats:
 
 
 def gaps_of(case: Case, parts: MeshPieces) -> dict[str, Floats]:
-    """Gap at full amplitude at the nodes of each contact interface (n,) [mm]."""
+    """Gap at full amplitude at the nodes of each interface that can open (n,) [mm]."""
     return {
         name: law.gap_field(name, case.geometry)(parts.x[parts.on_interface(name)])
         for name, law in case.interfaces.items()

@@ -35,7 +35,9 @@ class Cover:
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
         scene, bodies = problem.scene, problem.bodies
-        sliding_sides = [side for c in scene.contacts if c.between for side in (c.master, c.slave)]
+        sliding_sides = [
+            side for c in scene.parting_interfaces if c.between for side in (c.master, c.slave)
+        ]
         free_bodies = {
             bodies.body_of_region[side[0]] for side in sliding_sides if not scene.motion_of(side)
         }
@@ -118,7 +120,7 @@ class Cover:
             rim_distance = surface.distance_beyond_rim(x, facet, barycentric)
             rim_distance = np.where(rim_distance > OFF * edge_length, rim_distance, 0.0)
             yield (
-                self._problem.scene.contacts[i],
+                self._problem.scene.parting_interfaces[i],
                 sliding.rows[at_interface],
                 rim_distance,
                 distance,

@@ -124,22 +124,22 @@ def critical_friction_of_interfaces(problem: Problem) -> list[CriticalFriction]:
     Collective. The list is empty without contact, and without friction.
     """
     contact = problem.contact
-    if contact is None or not any(c.law.largest_friction for c in problem.scene.contacts):
+    if contact is None or not any(c.law.largest_friction for c in problem.scene.parting_interfaces):
         return []
     of_interfaces = []
     critical = critical_friction_of_points(contact)
-    for i, term in enumerate(problem.scene.contacts):
+    for i, c in enumerate(problem.scene.parting_interfaces):
         at_interface = np.flatnonzero(contact.local.interface == i)
         local_smallest: tuple[float, tuple[float, ...]] = (np.inf, ())
         if len(at_interface):
             k = at_interface[np.argmin(critical[at_interface])]
             local_smallest = float(critical[k]), tuple(contact.local.x[k])
         smallest, x = min(problem.comm.allgather(local_smallest))
-        points_beyond = int((critical[at_interface] < term.law.largest_friction).sum())
+        points_beyond = int((critical[at_interface] < c.law.largest_friction).sum())
         points_beyond = problem.comm.allreduce(points_beyond, MPI.SUM)
-        if term.law.largest_friction == 0 or not np.isfinite(smallest):
+        if c.law.largest_friction == 0 or not np.isfinite(smallest):
             continue
         of_interfaces.append(
-            CriticalFriction(term.name, term.law.largest_friction, smallest, x, points_beyond)
+            CriticalFriction(c.name, c.law.largest_friction, smallest, x, points_beyond)
         )
     return of_interfaces

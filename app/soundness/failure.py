@@ -216,7 +216,7 @@ def _state(status: int) -> str:
 
 
 def _place(problem: Problem, contact: ContactInterfaces, row: int) -> str:
-    name = problem.scene.contacts[contact.local.interface[row]].name
+    name = problem.scene.parting_interfaces[contact.local.interface[row]].name
     return f"on interface '{name}' at {point_text(contact.local.x[row])}"
 
 

@@ -40,7 +40,7 @@ FIXED_RESISTANCE = 1e-3
 SLIDING_AREA_FRACTION = 0.95
 # A point is at the friction limit if its friction is at least this fraction of the limit.
 FRICTION_LIMIT_FRACTION = 1 - 1e-6
-# Jumps of a free body run away beyond this fraction of the size of the interfaces.
+# A free body runs away if its jumps exceed this fraction of the size of the interfaces [-].
 RUNAWAY_JUMP = 0.05
 # Their size must also exceed this multiple of load / (modulus of the softer side x size). It is 5
 # for a stem wedged by friction, 70 for a frictionless taper of 1.5 degrees, and 600 for a straight
@@ -70,7 +70,7 @@ FACET_RESISTANCE_RATIO = 0.25
 # Such a motion counts if its square exceeds this fraction of the squared jumps (0.003 in a push,
 # 0.15 in a rotation).
 FACET_MOTION_FRACTION = 0.05
-# Bodies are apart by more than this fraction of the size of the interfaces.
+# Bodies are apart if their gap exceeds this fraction of the size of the interfaces [-].
 OPEN_GAP = 1e-8
 # A pressure below this fraction of (stiffness per area x size) counts as zero.
 ZERO_PRESSURE = 1e-10
@@ -142,7 +142,9 @@ def _owned_nodes(problem: Problem) -> Floats:
 def _holding_friction(problem: Problem) -> Floats:
     """Friction coefficients of the interfaces that may hold a body (i,)."""
     # Friction with finite sliding does not hold a body: a ball can leave its cup.
-    return np.array([0.0 if c.between else c.law.largest_friction for c in problem.scene.contacts])
+    return np.array(
+        [0.0 if c.between else c.law.largest_friction for c in problem.scene.parting_interfaces]
+    )
 
 
 def _texts_of_unborne_motion(problem: Problem, motion: Floats, pressures: Floats) -> list[str]:
@@ -205,9 +207,9 @@ def warnings_of_sliding_bodies(problem: Problem, contact: ContactInterfaces) -> 
         and np.linalg.eigvalsh(part)[0] > FREE_RESISTANCE
     }
     verdicts = []
-    for i, term in enumerate(problem.scene.contacts):
+    for i, c in enumerate(problem.scene.parting_interfaces):
         is_pressed = (contact.local.interface == i) & (normal > 0)
-        slips = is_pressed & (shear >= FRICTION_LIMIT_FRACTION * term.law.largest_friction * normal)
+        slips = is_pressed & (shear >= FRICTION_LIMIT_FRACTION * c.law.largest_friction * normal)
         local = np.array(
             [contact.local.weight[slips].sum(), contact.local.weight[is_pressed].sum()]
         )
@@ -215,12 +217,12 @@ def warnings_of_sliding_bodies(problem: Problem, contact: ContactInterfaces) -> 
         bodies = problem.comm.allgather(set(contact.local.bodies[is_pressed].ravel().tolist()))
         unsupported = set().union(*bodies) - fixed_bodies
         slides = touch and slip >= SLIDING_AREA_FRACTION * touch
-        if term.law.largest_friction > 0 and slides and unsupported:
+        if c.law.largest_friction > 0 and slides and unsupported:
             names = [f"'{problem.bodies.names[b]}'" for b in sorted(unsupported)]
             bodies_text = f"{'body' if len(names) == 1 else 'bodies'} {' and '.join(names)}"
             message = (
                 f"friction hardly holds {bodies_text}: {100 * slip / touch:.0f} % of the "
-                f"contact area of interface '{term.name}' slips in the last converged state"
+                f"contact area of interface '{c.name}' slips in the last converged state"
             )
             verdicts.append(Verdict(message, severity=Severity.WARNING, code=Reason.FLOATING_BODY))
     return verdicts
@@ -243,25 +245,25 @@ def error_of_runaway(problem: Problem, trial: TrialState) -> Verdict | None:
         return None
     size = contact.motions.frame[1]
     # Closing a gap or making room for an interference is not running away.
-    distance = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(contact.initial_gap, axis=1)
-    for i, term in enumerate(problem.scene.contacts):
+    distance = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(contact.gaps.initial_gap, axis=1)
+    for i, c in enumerate(problem.scene.parting_interfaces):
         at_interface = contact.local.interface == i
         largest = max(problem.comm.allgather(float(distance[at_interface].max(initial=0.0))))
         if largest <= RUNAWAY_JUMP * size + LEVER_RATIO * largest_prescribed:
             continue
         pressed = (trial.forces.pressures[at_interface] > 0).any()
-        if term.between and any(problem.comm.allgather(bool(pressed))):
+        if c.between and any(problem.comm.allgather(bool(pressed))):
             continue  # finite sliding
         share = f"{100 * largest / size:.0f} % of" if largest < size else "more than"
         message = (
-            f"the sides of interface '{term.name}' moved {largest:.3g} mm apart or along each "
+            f"the sides of interface '{c.name}' moved {largest:.3g} mm apart or along each "
             f"other, {share} the interface's size"
         )
-        if largest > LARGEST_ELASTIC_JUMP * forces / (term.modulus * size):
+        if largest > LARGEST_ELASTIC_JUMP * forces / (c.modulus * size):
             floating = texts_of_floating_bodies(
                 problem, trial, moved=True
             ) or texts_of_pulled_bodies(problem, contact)
-            if floating or term.between:
+            if floating or c.between:
                 return Verdict(
                     "; ".join([*floating, message]), remedy=HOLD_REMEDY, code=Reason.FLOATING_BODY
                 )
@@ -281,7 +283,7 @@ def warnings_of_floating_bodies(problem: Problem, trial: TrialState) -> list[Ver
     No load acts on such a body along its free motion, so any place in the gaps is an equilibrium.
     """
     contact, size = trial.contact, trial.contact.motions.frame[1]
-    gaps = contact.openings(trial.jump).max(axis=1)
+    gaps = contact.gaps.openings(trial.jump).max(axis=1)
     is_open = trial.forces.status == OPEN
     if not any(problem.comm.allgather(bool((is_open & (gaps > OPEN_GAP * size)).any()))):
         return []
@@ -390,7 +392,7 @@ def error_of_body_held_by_facets(problem: Problem, trial: TrialState) -> Verdict
     """
     smooth = [
         c.law.can_open and c.law.largest_friction == 0 and not c.between
-        for c in problem.scene.contacts
+        for c in problem.scene.parting_interfaces
     ]
     if not any(smooth):
         return None

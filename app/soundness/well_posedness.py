@@ -322,21 +322,21 @@ def _followers_moved_twice(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
     def nodes(boundary: str) -> NDArray[np.int64]:
         return np.concatenate([np.zeros(0, int), *parts.boundaries.get(boundary, {}).values()])
 
-    contacts = build_scene(case).contacts if parts.sliding_boundaries else ()
+    interfaces = build_scene(case).parting_interfaces if parts.sliding_boundaries else ()
     supported_boundaries = {n: s.boundary for n, s in case.supports.items() if not s.is_spring}
     nodes_by_owner = {
         f"supports.{name}": nodes(boundary) for name, boundary in supported_boundaries.items()
     }
-    for c in contacts:
+    for c in interfaces:
         interface_nodes = nodes(c.between[1]) if c.between else parts.on_interface(c.name)
         nodes_by_owner[f"interfaces.{c.name}"] = interface_nodes
-    for contact in contacts:
-        name = f"interfaces.{contact.name}"
+    for c in interfaces:
+        name = f"interfaces.{c.name}"
         for key, interface_nodes in nodes_by_owner.items():
             shared_nodes = np.intersect1d(nodes_by_owner[name], interface_nodes)
-            if contact.between and key != name and len(shared_nodes):
+            if c.between and key != name and len(shared_nodes):
                 message = (
-                    f"{len(shared_nodes)} nodes of {contact.between[1]}, e.g. at "
+                    f"{len(shared_nodes)} nodes of {c.between[1]}, e.g. at "
                     f"{point_text(parts.x[shared_nodes[0]])}, are constrained twice: here and by "
                     f"the finite sliding of {name}"
                 )

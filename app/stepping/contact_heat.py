@@ -34,7 +34,7 @@ from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
 from app.mechanics.stiffness import ROUNDING_OF_STIFFNESS_ROWS
 from app.numerics.sparse import from_triplets, owners
-from app.scene.bodies import contact_facets
+from app.scene.bodies import facets_of_interfaces
 from app.scene.scene import Scene
 from forms import interface_heat
 
@@ -68,10 +68,10 @@ class ContactHeat:
             scene, problem, contact, operators, column_of_point
         )
         heated_interfaces = {f.name for f in scene.friction_heat}
-        contact_names = [c.name for c in scene.contacts]
+        names = [c.name for c in scene.parting_interfaces]
         self.is_rubbing = np.isin(
             contact.local.interface,
-            [i for i, name in enumerate(contact_names) if name in heated_interfaces],
+            [i for i, name in enumerate(names) if name in heated_interfaces],
         )
         self.pressure_interpolation: PETSc.Mat | None = None
         self.value_interpolation: PETSc.Mat | None = None
@@ -114,7 +114,7 @@ class ContactHeat:
             jumps.pressure = _multiply(self.pressure_interpolation, trial.forces.pressures.ravel())
         if friction is not None:
             friction.nodal = np.array([_multiply(H, power) for H in self.nodal_heat])
-            for i, c in enumerate(self._problem.scene.contacts):
+            for i, c in enumerate(self._problem.scene.parting_interfaces):
                 if f"friction {c.name}" in friction.flows:
                     local_power = float(
                         (contact.local.weight * power)[contact.local.interface == i].sum()
@@ -173,9 +173,9 @@ def _interpolations(
     A row is zero where an interface of finite conductance has no contact.
     """
     surface, comm, point_count = contact.points.surface, contact.comm, len(contact.local)
-    contact_names = [c.name for c in scene.contacts]
+    names = [c.name for c in scene.parting_interfaces]
     corner_of_vertex = {
-        (contact_names[i], vertex): corner
+        (names[i], vertex): corner
         for corner, (i, vertex) in enumerate(zip(surface.interface, surface.vertex, strict=True))
     }
     interface_names = [scene.thermal_contacts[i].name for i in jumps.interface]
@@ -211,16 +211,17 @@ def _friction_heat_matrices(
 ) -> list[PETSc.Mat]:
     """Matrices from friction power per area at contact points to nodal heat by body [mm2]."""
     points, space = contact.points, operators.forms.space
-    facets = contact_facets(problem.tagged, problem.bodies, space, scene.contacts, {})
+    interfaces = scene.parting_interfaces
+    facets = facets_of_interfaces(problem.tagged, problem.bodies, space, interfaces, {})
     vertices, first_rows = np.unique(facets.vertices, return_index=True)
     dof = facets.dofs[:, :3].ravel()[first_rows][np.searchsorted(vertices, points.vertex)]
     start, end = space.dofmap.index_map.local_range
     owned = (dof >= start) & (dof < end)
     slave_shares = {f.name: f.slave_share for f in scene.friction_heat}
-    β = np.array([slave_shares.get(c.name, 0.0) for c in scene.contacts])[points.interface]
+    β = np.array([slave_shares.get(c.name, 0.0) for c in interfaces])[points.interface]
     body_of = operators.bodies.body_of_region
-    master = np.array([body_of[c.master[0]] for c in scene.contacts])
-    slave = np.array([body_of[c.slave[0]] for c in scene.contacts])
+    master = np.array([body_of[c.master[0]] for c in interfaces])
+    slave = np.array([body_of[c.slave[0]] for c in interfaces])
     sides = list(zip((master, slave), interface_heat.friction_heat(1.0, β), strict=True))
     sizes = problem.comm, operators.forms.owned, len(contact.local)
     heats = []

@@ -32,6 +32,7 @@ MAX_SOLVES = 40
 SETTLED = 0.02
 # Fraction by which the last step may exceed the chosen length.
 LENGTHENING = 0.001
+# Factors from the length of a step to that of the next, by the error.
 GROWTH = Growth(safety=0.8, smallest=0.2, largest=10.0, after_failure=0.2)
 
 
@@ -120,7 +121,7 @@ class CreepStepper:
         def return_to_start() -> None:
             self._stress_history.return_to(state)
             if contact and contact_state:
-                contact.state, contact.committed_jump = contact_state, contact_state.jump
+                contact.state, contact.gaps.committed_jump = contact_state, contact_state.jump
 
         solved = False
         try:

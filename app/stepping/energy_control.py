@@ -33,11 +33,11 @@ from app.numerics.newton import NewtonResult, Solver
 from app.numerics.preconditioners import Options
 from app.numerics.system import MatrixFree, Measure
 
-# Newton iterations of a step.
+# Largest number of Newton iterations of a step.
 MOST_NEWTON_ITERATIONS = 25
 # Relative tolerance of the energy of a step.
 ENERGY_TOLERANCE = 1e-6
-# Difference in the fraction of the path for the derivative by the load.
+# Change of the fraction of the path in the difference quotient by the load [-].
 PATH_STEP = 1e-4
 # Relative tolerance of the linear solver.
 LINEAR_TOLERANCE = 1e-9
@@ -84,11 +84,11 @@ def start_beyond_onset(
         Fraction of the path at that state, or None if no damage is possible; collective.
     """
     contact, start = problem.contact, solver.x.copy()
-    if contact is None or not contact.freeze():
+    if contact is None or not contact.remedies.freeze():
         return None
     set_load(path[1])
     solver.run()
-    contact.unfreeze()
+    contact.remedies.unfreeze()
     end = solver.x.copy()
 
     def move_to(fraction: float) -> float:

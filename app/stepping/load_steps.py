@@ -144,8 +144,8 @@ class LoadStepper:
     def solve(self) -> NewtonResult:
         """Solve until points with finite sliding are paired with the facets that they touch."""
         problem, (u, q) = self.problem, self.solver.u_and_q()
-        if problem.contact:
-            problem.contact.approach(problem.f, u, q)
+        if problem.sliding:
+            problem.sliding.approach(problem.f, u, q)
         outcome = solve(self.solver)
         self.total.count(outcome)
         for _ in range(MAX_PAIRINGS):

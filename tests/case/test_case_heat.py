@@ -122,7 +122,7 @@ def test_case_heat_conditions() -> None:
 
 def test_case_heat_interfaces() -> None:
     scene = build()
-    (contact,) = scene.contacts
+    (contact,) = scene.parting_interfaces
     rubbing, glued = scene.thermal_contacts
     # The rigid stem is stiffer than cement, bone stiffer than cement.
     assert (contact.master, contact.slave) == (("stem",), ("cement",))
@@ -201,7 +201,7 @@ def test_case_heat_conductors_alone_have_no_mechanics() -> None:
         "stages=[{name: wait, steady: true}]",
     )
     mechanics = (*scene.elastic, *scene.rigid, *scene.foundations, *scene.supports)
-    assert mechanics + scene.loads + scene.contacts == ()
+    assert mechanics + scene.loads + scene.parting_interfaces == ()
     assert scene.stages == (Stage(name="wait", steady=True),)
     # Neither side is stiffer: the first is the master.
     (glued,) = scene.thermal_contacts
@@ -220,7 +220,7 @@ def test_case_heat_hot_case_is_that_of_the_paper() -> None:
         {"stem": 37, "cement": 100, "cortical_bone": 37, "cancellous_bone": 37}
     )
     scene = build_scene(case)
-    assert {c.law.largest_friction for c in scene.contacts} == {1.0}
+    assert {c.law.largest_friction for c in scene.parting_interfaces} == {1.0}
     assert [c.law.conductances[0] for c in scene.thermal_contacts] == [0.3, 0.3]
     assert scene.time is not None
     modulus = load_case(support.CONFIGS / "stance_cocr.yaml").config.regions["stem"]

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.foundation.arrays import Floats
+from app.mechanics.contact import ContactInterfaces
 from meshes.data import MeshData, exterior_facets, mesh_data_of
 from meshes.distribute import TaggedMesh, distribute
 from tests import support
@@ -31,6 +32,17 @@ supports:
 loads:
   push: {kind: force, boundary: top, force: [3 N, 0 N, -4 N]}
   press: {kind: pressure, boundary: top, pressure: 2 MPa}
+"""
+# Held blocks with a gap that a second stage halves.
+GAP = f"""{support.TWO_BLOCKS}regions:
+  lower: {{youngs_modulus: 1000 MPa, poisson_ratio: 0.3}}
+  upper: {{youngs_modulus: 500 MPa, poisson_ratio: 0.3}}
+interfaces:
+  lower_upper: {{kind: contact, friction_coefficient: 0.4, gap: 0.02 mm, gap_history: [1, 0.5]}}
+supports:
+  floor: {{kind: fixed, boundary: bottom}}
+  lid: {{kind: fixed, boundary: top}}
+stages: [{{name: first}}, {{name: second}}]
 """
 # A wall of two layers between a stove and air: 60 K over L1/k1 + 1/h + L2/k2 + 1/a, on 16 mm2.
 # A bar of two halves, each 2 mm long on 16 mm2, without interface, supports and loads.
@@ -179,3 +191,10 @@ TORN = (
     *("mesh.size=2 mm", "supports.pull.z=0.015 + 0.005 * (x - 2)"),
     *("stages.0.increments=2", "stages.0.fracture_step=0.1 N mm", "solver.tolerance=1e-12"),
 )
+
+
+def contact_of_blocks(*changes: str) -> ContactInterfaces:
+    """Contact of the blocks with a gap, at rest."""
+    problem, _ = support.assemble(support.case(GAP, *changes))
+    assert problem.contact is not None
+    return problem.contact

@@ -25,7 +25,7 @@ from app.foundation.arrays import Floats
 from app.laws.contact_laws import Contact
 from app.mechanics.contact_state import ContactState, LocalPoints
 from app.mechanics.point_forces import PointForces
-from app.mechanics.point_laws import PointLaws, initial_gap_vectors
+from app.mechanics.point_laws import PointLaws
 from app.mechanics.switches import Switches
 from app.numerics.pointwise import Pointwise
 from app.system.timing import Timing
@@ -405,15 +405,3 @@ def test_contact_at_edge_points_for_any_force(
     broken = conditions(p, True, force_of(edge_law(), p))
     for name, value in (broken.always | broken.coulomb).items():
         assert value[0] < 1e-8, name
-
-
-def test_contact_initial_gap_vectors_open_every_face() -> None:
-    p = sample(50, 3, seed=8)
-    for faces in (0, 1, 2, 3):
-        normals = np.zeros((50, 3, 3))
-        normals[:, :faces] = p.normals[:, :faces]
-        gap = np.linspace(-1, 1, 50)
-        g = initial_gap_vectors(normals, gap)
-        opened = np.einsum("nki,ni->nk", normals[:, :faces], g)
-        assert np.abs(opened - gap[:, None]).max(initial=0) < 1e-12
-        assert faces or not g.any()

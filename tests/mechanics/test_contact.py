@@ -1,52 +1,55 @@
-"""Contact of interfaces: openings, and given pressures of friction."""
+"""Contact of interfaces: residual and rows of the Jacobian at contact points, by their formulas."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from app.mechanics.contact import ContactInterfaces
-from tests import support
-
-# Contact with a gap that a second stage halves.
-BLOCKS = f"""{support.TWO_BLOCKS}regions:
-  lower: {{youngs_modulus: 1000 MPa, poisson_ratio: 0.3}}
-  upper: {{youngs_modulus: 500 MPa, poisson_ratio: 0.3}}
-interfaces:
-  lower_upper: {{kind: contact, friction_coefficient: 0.4, gap: 0.02 mm, gap_history: [1, 0.5]}}
-supports:
-  floor: {{kind: fixed, boundary: bottom}}
-  lid: {{kind: fixed, boundary: top}}
-stages: [{{name: first}}, {{name: second}}]
-"""
+from tests.cases.blocks import contact_of_blocks
 
 
-def contact_of_blocks() -> ContactInterfaces:
-    problem, _ = support.assemble(support.case(BLOCKS))
-    assert problem.contact is not None
-    return problem.contact
+def test_contact_residual_is_equilibrium_and_forces_by_area() -> None:
+    """At open points P = 0 and the residual is e; at points that stick it is r W D.
 
-
-def test_contact_openings_are_normal_jump_and_initial_gap_of_the_time() -> None:
-    """A lift of 0.03 mm opens 0.05 mm at the full gap of 0.02 mm, 0.04 mm at half of it."""
+    The gap is 0.02 mm, the jump 0.03 mm along the normal and 0.01 mm across: D = q + g.
+    """
     contact = contact_of_blocks()
-    normals = contact.local.normals[:, 0]
-    shift = np.cross(normals, [1.0, 0.0, 0.0])
-    for time, gap in ((1.0, 0.02), (1.5, 0.015), (2.0, 0.01)):
-        contact.set_time(time)
-        jump = 0.03 * normals + 0.7 * shift
-        np.testing.assert_allclose(contact.openings(jump)[:, 0], 0.03 + gap, rtol=1e-12)
-        # The gap vector contains the whole jump, not the normal part alone.
-        expected = (0.03 + gap) * normals + 0.7 * shift
-        np.testing.assert_allclose(contact.gap_vector(jump), expected, atol=1e-15)
+    contact.set_time(1.0)
+    normals, weight = contact.local.normals[:, 0], contact.local.weight[:, None]
+    jump = 0.03 * normals + 0.01 * np.cross(normals, [1.0, 0.0, 0.0])
+    e = 0.7 * weight * normals
+    np.testing.assert_allclose(contact.forces(e), -0.7 * normals, rtol=1e-12)
+    contact.remedies.open()
+    residual = contact.residual(e, jump, contact.evaluate(e, jump))
+    np.testing.assert_allclose(residual, e, rtol=1e-12)
+    contact.remedies.allow_closing()
+    contact.remedies.constrain()
+    residual = contact.residual(e, jump, contact.evaluate(e, jump))
+    r = contact.laws.augmentation[:, None]
+    np.testing.assert_allclose(
+        residual, r * weight * (jump + 0.02 * normals), atol=1e-12 * float((r * weight).max())
+    )
 
 
-def test_contact_relaxes_given_pressures_only_while_they_limit_friction() -> None:
+def test_contact_rows_are_equilibrium_if_open_and_keep_the_jump_if_stuck() -> None:
+    """Rows (1 - P') [C^T, D] + r W P', with P' = 0 at open points, P' = 1 at those that stick."""
     contact = contact_of_blocks()
-    for _ in range(2):
-        with pytest.raises(ValueError, match="friction is not limited by given pressures"):
-            contact.relax_tresca_friction(0.5)
-        assert contact.begin_tresca_friction()
-        # Nothing acts yet: given and last pressures are zero.
-        assert contact.relax_tresca_friction(0.5) == 0.0
-        contact.end_tresca_friction()
+    n, e = len(contact.local), np.zeros((len(contact.local), 3))
+    identity = np.tile(np.eye(3), (n, 1, 1))
+    contact.remedies.open()
+    factors, added = contact.row_factors(contact.evaluate(e, e))
+    np.testing.assert_allclose(factors, identity)
+    assert not added.any()
+    contact.remedies.allow_closing()
+    contact.remedies.constrain()
+    factors, added = contact.row_factors(contact.evaluate(e, e))
+    assert not factors.any()
+    r, weight = contact.laws.augmentation, contact.local.weight
+    np.testing.assert_allclose(added, (r * weight)[:, None, None] * identity)
+
+
+def test_contact_is_apart_until_a_point_touches() -> None:
+    """The blocks are apart by 0.02 mm at the end of the first stage, and touch without a gap."""
+    contact = contact_of_blocks()
+    contact.set_time(1.0)
+    assert contact.is_apart()
+    assert not contact_of_blocks("interfaces.lower_upper.gap=0 mm").is_apart()

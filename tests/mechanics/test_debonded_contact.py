@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from mpi4py import MPI
 
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 
 from app.foundation.arrays import Floats
 from app.laws.contact_laws import Contact
+from app.laws.traction_laws import Cohesive
 from app.mechanics.contact_state import ContactState, LocalPoints
 from app.mechanics.debonded_contact import DebondedContact, Debonding, debonded_contact
 from app.mechanics.point_forces import PointForces
@@ -56,9 +59,17 @@ def cohesion(jump: Floats) -> Debonding:
     return Debonding((1 - share)[:, None] * K * jump, traction_by_jump, share, share_by_jump)
 
 
-def contact_at(
-    force: Floats, jump: Floats, opened: bool = False, prescribed: Floats | None = None
-) -> DebondedContact:
+def points_of(normals: Floats, faces: int) -> LocalPoints:
+    """Points with normals (n, 3, 3), free of supports, on 1 mm2 each."""
+    n = len(normals)
+    none, sides, tensors = np.zeros((n, 3)), np.zeros((n, 2), dtype=np.int64), np.zeros((n, 3, 3))
+    interface, count = np.zeros(n, dtype=np.int64), np.full(n, faces)
+    return LocalPoints(
+        np.arange(n), interface, none, sides, count, normals, np.ones(n), tensors, tensors
+    )
+
+
+def contact_at(force: Floats, jump: Floats, prescribed: Floats | None = None) -> DebondedContact:
     n = len(jump)
     none = np.zeros((n, 3))
     inputs = {
@@ -72,10 +83,7 @@ def contact_at(
     normals = np.zeros((n, 3, 3))
     normals[:, 0, 2] = 1.0
     prescribed_tangents = np.tile(0 * EYE if prescribed is None else prescribed, (n, 1, 1))
-    opened_points = np.full(n, opened, dtype=bool)
-    return debonded_contact(
-        coulomb, inputs, cohesion(jump), normals, prescribed_tangents, opened_points
-    )
+    return debonded_contact(coulomb, inputs, cohesion(jump), normals, prescribed_tangents)
 
 
 def test_debonded_contact_has_the_friction_of_its_share() -> None:
@@ -89,7 +97,7 @@ def test_debonded_contact_has_the_friction_of_its_share() -> None:
     contact = contact_at(force, jump)
     np.testing.assert_allclose(contact.force, [[0.25 * MU * 8.0, 0.0, -8.0]], rtol=1e-12)
     np.testing.assert_allclose(contact.pressures, [[8.0]])
-    assert contact.status.tolist() == [SLIP] and contact.acts.tolist() == [True]
+    assert contact.status.tolist() == [SLIP]
     np.testing.assert_allclose(contact.friction_work, [0.8 * 0.5], rtol=1e-12)
     # Off equilibrium by 1 MPa, the slip is longer by 1 MPa over r.
     off = contact_at(force + EYE[:1], jump)
@@ -97,10 +105,44 @@ def test_debonded_contact_has_the_friction_of_its_share() -> None:
 
 
 def test_debonded_contact_does_not_act_on_bonded_or_opened_points() -> None:
-    pressed = np.array([[0.0, 0.0, -8.0]])
-    assert not contact_at(pressed, np.array([[-0.5, 0.0, 0.0]])).acts.any()
-    opened = contact_at(pressed, np.array([[0.5, 0.0, 0.0]]), opened=True)
-    assert not opened.acts.any() and not opened.friction_work.any()
+    """Points with the debonded shares 0, 1, 1 and 1/2 under the trial pressure 8 MPa.
+
+    The third one is opened, and contact acts on the second and the fourth. On the second, whose
+    trial force along x is r q = 6 MPa, friction is at its limit of μ p = 3.2 MPa. The limit of the
+    fourth is half of it.
+    """
+    share = np.array([0.0, 1.0, 1.0, 0.5])
+    normals = np.zeros((4, 3, 3))
+    normals[:, 0, 2] = 1.0
+    law = Cohesive.model_validate(
+        {
+            "kind": "cohesive",
+            "friction_coefficient": MU,
+            "stiffness": f"{K} MPa/mm",
+            "tensile_strength": "1e6 MPa",
+            "shear_strength": "1e6 MPa",
+            "tensile_energy": "1e12 N/mm",
+            "shear_energy": "1e12 N/mm",
+            "unbonded": 0.5,
+        }
+    )
+    values = {name: np.full(4, float(value)) for name, value in law.constants.items()}
+    values |= {"unbonded": share, "μ": np.full(4, MU)}
+    laws = PointLaws(MPI.COMM_SELF, points_of(normals, 1), Timing())
+    laws.begin([law], values, R, np.tile(EYE, (4, 1, 1)))
+    rest, jump = ContactState.at_rest(4, {"damage": (), "spent": ()}), np.tile([0.06, 0, 0], (4, 1))
+    # The cohesion of the bonded share carries its part of the shear.
+    traction = (1 - share)[:, None] * K * jump
+    switches = replace(Switches.off(4), opened=np.arange(4) == 2)
+    out = laws.evaluate(traction - 8.0 * EYE[2], jump, 0 * jump, rest, switches)
+    friction = np.array([0.0, MU * 8.0, 0.0, 0.5 * MU * 8.0])
+    pressure = np.array([0.0, 8.0, 0.0, 8.0])
+    np.testing.assert_allclose(out.pressures[:, 0], pressure, rtol=1e-12)
+    expected = traction + friction[:, None] * EYE[0] - pressure[:, None] * EYE[2]
+    np.testing.assert_allclose(out.force, expected, atol=1e-12)
+    # The slip of the law is (S - P) / r.
+    slip = jump[:, 0] - friction / R
+    np.testing.assert_allclose(out.debonded_friction_work, friction * slip, atol=1e-12)
 
 
 @pytest.mark.parametrize("prescribed", [None, np.diag([0.0, 1.0, 0.0])], ids=["free", "held y"])
@@ -155,11 +197,7 @@ def test_debonded_contact_may_assume_friction_proportional_to_its_coefficient(fa
 def response(force: Floats, normals: Floats, faces: int, μ: float) -> PointForces:
     """The compiled contact law at zero jumps."""
     n = len(force)
-    number, sides, tensors = np.arange(n), np.zeros((n, 2), dtype=np.int64), np.zeros((n, 3, 3))
-    none, interface = np.zeros((n, 3)), np.zeros(n, dtype=np.int64)
-    points = LocalPoints(
-        number, interface, none, sides, np.full(n, faces), normals, np.ones(n), tensors, tensors
-    )
+    none, points = np.zeros((n, 3)), points_of(normals, faces)
     laws = PointLaws(MPI.COMM_SELF, points, Timing())
     laws.begin(
         [Contact(friction_coefficient=μ)], {"μ": np.full(n, μ)}, 1.0, np.tile(EYE, (n, 1, 1))

@@ -245,7 +245,8 @@ def test_followers_of_a_rigid_master_are_paired_without_assembly() -> None:
 
     def keep(step: LoadStep, trial: TrialState | None) -> None:
         assert trial is not None
-        paired.append(trial.contact.jump_at_committed_pairing)
+        assert trial.contact.finite_sliding is not None
+        paired.append(trial.contact.finite_sliding.jump_at_committed_pairing)
 
     analysis.run(keep, on_trouble=print)
     assert not np.array_equal(paired[0], paired[-1])

@@ -20,7 +20,7 @@ def test_scene_puts_the_jump_on_the_softer_side() -> None:
         interfaces={"joint": Contact(friction_coefficient=0.3)},
         sides={"joint": (["soft"], ["stiff"])},
     )
-    (joint,) = scene.contacts
+    (joint,) = scene.parting_interfaces
     assert (joint.master, joint.slave, joint.swapped) == (("stiff",), ("soft",), True)
     assert joint.modulus == 1000.0
     assert scene.time is None

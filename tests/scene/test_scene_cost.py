@@ -138,7 +138,7 @@ def test_scene_cost_bonded_is_one_continuous_field() -> None:
         and listed.problem.contact is None
         and listed.problem.jump_displacements == {}
     )
-    assert listed.problem.scene.contacts == () and len(listed.problem.bodies.names) == 1
+    assert listed.problem.scene.parting_interfaces == () and len(listed.problem.bodies.names) == 1
     nodes = len(listed.problem.space.tabulate_dof_coordinates())
     assert listed.unknowns == {"displacement": 3 * nodes}
     # What the case does not contain is an empty tuple and costs nothing.

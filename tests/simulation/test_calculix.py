@@ -238,7 +238,7 @@ def numbers(solved: support.Solved, u: Floats, monkeypatch: pytest.MonkeyPatch) 
     """Subsidence, and p99 of gap and slip at the nodes of the stem [mm]."""
     p = solved.problem
     monkeypatch.setattr(hip, "nodal_displacements", lambda _: u)
-    stem = p.scene.contacts[0]
+    stem = p.scene.parting_interfaces[0]
     f = bodies.facets_between(p.tagged, stem.slave, stem.master)
     dofs = bodies.facet_nodes(p.tagged, p.space, f)[1]
     x, inside = bodies.facet_coordinates(p.tagged, f)

@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import splu
 
 from app.foundation.arrays import Floats, Ints
-from app.mechanics import contact
+from app.mechanics import contact_gaps
 from app.mechanics.body_forms import assemble_form_matrix
 from tests import support
 from tests.cases.turning_head import CUP, FORCE, MU, R, cup, solve, stages, turning
@@ -86,7 +86,7 @@ def test_dense_compliance_gives_equal_forces_of_sliding(monkeypatch: pytest.Monk
 
     Normal forces agree to 1e-7 of the largest.
     """
-    monkeypatch.setattr(contact, "PAIRING_ACCURACY", 1e-12)
+    monkeypatch.setattr(contact_gaps, "PAIRING_ACCURACY", 1e-12)
     steps = solve(turning((0, 0, 0), (0, 10, 0)), stages(2))[-3:]
     S, x = compliance()
     n = len(x)

@@ -135,7 +135,7 @@ def solve_a(case: Case, tagged: TaggedMesh) -> tuple[list[float], list[State], C
             c.name: InterfaceState(
                 *(v[points] for v in (vertex, normal, jumps.local.weight, trial.jump, slip, force))
             )
-            for k, c in enumerate(problem.scene.contacts)
+            for k, c in enumerate(problem.scene.parting_interfaces)
             for points in [jumps.local.interface == k]
         }
         displacement: dict[str, tuple[Ints, Floats]] = {

@@ -127,7 +127,7 @@ def test_interfaces_that_meet_transmit_a_pressure_on_each_face(
         sideways = PRESSURE
     text["solver"] = {"linear": linear}
     s = support.solve(support.case(text)).last
-    for i, contact_ in enumerate(s.contacts):
+    for i, interface in enumerate(s.interfaces):
         surface, mean = s.surfaces[i], s.tractions[i]["pressure"].mean
         normals = s.all_corners.normals
         wanted = np.where(np.abs(normals[:, :, 2]) > 0.5, PRESSURE, sideways)
@@ -135,7 +135,7 @@ def test_interfaces_that_meet_transmit_a_pressure_on_each_face(
         has_area = (surface._face_area > 0) & (s.x[:, 2] > 0)[:, None]
         assert has_area.any()
         np.testing.assert_allclose(mean[has_area], wanted[has_area], rtol=1e-7)
-        numbers = s.numbers[contact_.name]
+        numbers = s.numbers[interface.name]
         assert numbers["motion_max"] < 1e-9
         if not skewed:
             assert numbers["pressure_max"] <= PRESSURE * (1 + 1e-7)
@@ -267,7 +267,7 @@ def test_interfaces_that_meet_stem_of_a_t_depends_on_its_bars(tmp_path: Path) ->
     dependent = []
     for turn in range(3):
         case = support.case(scene(tmp_path, T, contact(0.3), turn=turn))
-        names = [c.name for c in build_scene(case).contacts]
+        names = [c.name for c in build_scene(case).parting_interfaces]
         contact_ = support.assemble(case)[0].contact
         assert contact_ is not None
         surface, n = contact_.points.surface, len(contact_.points.vertex)

@@ -248,7 +248,7 @@ def moved(scene: Scene, Q: Floats) -> Scene:
         scene,
         loads=[acting(one) for one in scene.loads],
         elastic=[elastic(one) for one in scene.elastic],
-        contacts=[interface(one) for one in scene.contacts],
+        parting_interfaces=[interface(one) for one in scene.parting_interfaces],
     )
 
 

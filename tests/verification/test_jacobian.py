@@ -31,9 +31,9 @@ def test_jacobian_taylor_remainder_is_of_second_order(order: int, law: str, give
     q.array[:] += 1e-5 * rng.standard_normal(q.array.size)
     if given:
         contact = solved.solver.system.contact
-        contact.begin_tresca_friction()
+        contact.remedies.begin_tresca_friction()
         solved.solver.residual(x)
-        contact.relax_tresca_friction(0.8)
+        contact.remedies.relax_tresca_friction(0.8)
     base, moved, linear = (x.duplicate() for _ in range(3))
     step, there = x.duplicate(), x.duplicate()
     du, dq = solved.solver.u_and_q(step)

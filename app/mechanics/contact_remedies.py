@@ -1,0 +1,157 @@
+"""Changes of the contact that remedies of Newton's method ask for, one after another.
+
+`numerics.remedies` begins a change and ends it. The changes at a time are one value,
+`mechanics.switches.Switches`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from mpi4py import MPI
+
+import numpy as np
+
+from app.foundation.arrays import Bools, Floats
+from app.interfaces.corners import ContactPoints
+from app.mechanics.contact_motions import ContactMotions
+from app.mechanics.contact_state import LocalPoints
+from app.mechanics.point_laws import PointLaws
+from app.mechanics.switches import Switches
+
+
+class ContactRemedies:
+    """Changes of the laws at the contact points of this rank (n of them).
+
+    Attributes:
+        switches: The changes at present.
+        last_trial_force: Trial forces of the last evaluation of the laws (n, 3) [MPa].
+
+    Args:
+        comm: All ranks.
+        points: All contact points.
+        local: The points of this rank.
+        laws: Laws at the points of this rank.
+        motions: Rigid motions of the bodies at the points.
+        touching: Returns a mask of the points that touch in the committed state (n,).
+    """
+
+    def __init__(
+        self,
+        comm: MPI.Comm,
+        points: ContactPoints,
+        local: LocalPoints,
+        laws: PointLaws,
+        motions: ContactMotions,
+        touching: Callable[[], Bools],
+    ) -> None:
+        self._comm, self._points, self._local = comm, points, local
+        self._laws, self._motions, self._touching = laws, motions, touching
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin a run without changes."""
+        self.switches = Switches.off(len(self._local))
+        self.last_trial_force: Floats = np.zeros((len(self._local), 3))
+
+    def constrain(self) -> bool:
+        """Constrain interfaces that have to close to hold a body; collective.
+
+        Constrained are interfaces that are open everywhere, and partly open ones of a body that
+        neither supports nor touching points hold. The sides of a constrained interface touch and
+        stick, which moves the body into contact.
+
+        Returns:
+            True if interfaces are constrained.
+        """
+        constrained = np.zeros(len(self._local), dtype=bool)
+        touching = self._touching()
+        floating: set[int] | None = None
+        for i in np.unique(self._points.interface):
+            at_interface = self._local.interface == i
+            has_touching, has_open = (
+                bool(self._comm.allreduce(int(mask[at_interface].sum()), MPI.SUM))
+                for mask in (touching, ~touching)
+            )
+            if has_touching and not has_open:
+                continue
+            if has_touching:
+                if floating is None:
+                    floating = self._motions.numbers_of_floating_bodies(touching, constrained)
+                bodies = np.unique(self._points.bodies[self._points.interface == i])
+                if floating.isdisjoint(bodies.tolist()):
+                    continue
+            constrained |= at_interface
+        self.switches = replace(self.switches, constrained=constrained)
+        return bool(self._comm.allreduce(bool(constrained.any()), MPI.LOR))
+
+    def release(self) -> None:
+        """Release constrained interfaces."""
+        none = np.zeros(len(self._local), dtype=bool)
+        self.switches = replace(self.switches, constrained=none)
+
+    def open(self) -> bool:
+        """Open all interfaces that can open; collective.
+
+        Laws other than contact keep their forces.
+
+        Returns:
+            True if interfaces are opened.
+        """
+        opened = self._laws.law_has_contact & self._laws.law_can_open
+        self.switches = replace(self.switches, opened=opened)
+        return bool(self._comm.allreduce(bool(opened.any()), MPI.LOR))
+
+    def allow_closing(self) -> None:
+        """Let opened interfaces close."""
+        none = np.zeros(len(self._local), dtype=bool)
+        self.switches = replace(self.switches, opened=none)
+
+    def freeze(self) -> bool:
+        """Freeze the internal variables; return True if there are any."""
+        freezes_variables = bool(self._laws.internal_variables)
+        self.switches = replace(self.switches, freezes_variables=freezes_variables)
+        return freezes_variables
+
+    def unfreeze(self) -> None:
+        """Let the internal variables change."""
+        self.switches = replace(self.switches, freezes_variables=False)
+
+    def begin_tresca_friction(self) -> bool:
+        """Limit friction by given pressures, zero at first; collective.
+
+        The problem with given pressures is that of Tresca: it is convex, and has one solution.
+        Friction of the debonded area of a cohesive law stays as it is.
+
+        Returns:
+            True if there is contact with friction.
+        """
+        has_local_friction = bool((self._laws.law_has_friction & self._laws.law_is_contact).any())
+        has_friction = bool(self._comm.allreduce(has_local_friction, MPI.LOR))
+        if has_friction:
+            none = np.zeros((len(self._local), 3))
+            self.switches = replace(self.switches, tresca_force=none)
+        return has_friction
+
+    def relax_tresca_friction(self, share: float) -> float:
+        """Move the given pressures by a share towards those of the last evaluation; collective.
+
+        Returns:
+            Norm of the difference of the trial forces over that of the last ones [-].
+
+        Raises:
+            ValueError: Friction is not limited by given pressures.
+        """
+        given, last = self.switches.tresca_force, self.last_trial_force
+        if given is None:
+            raise ValueError("friction is not limited by given pressures")
+        difference = last - given
+        self.switches = replace(self.switches, tresca_force=given + share * difference)
+        squares = np.array([(difference**2).sum(), (last**2).sum()])
+        change, size = np.sqrt(self._comm.allreduce(squares, MPI.SUM))
+        return float(change / size) if size else 0.0
+
+    def end_tresca_friction(self) -> None:
+        """Limit friction by the pressures of the state."""
+        self.switches = replace(self.switches, tresca_force=None)

@@ -1,0 +1,57 @@
+"""Changes of contact by remedies: constrained or opened points, given pressures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.cases.blocks import contact_of_blocks
+
+FRICTIONLESS = "interfaces.lower_upper.friction_coefficient=0"
+
+
+def test_contact_remedies_constrain_interfaces_that_are_open_everywhere() -> None:
+    """All points of blocks with a gap are constrained, and none where the blocks touch."""
+    contact = contact_of_blocks()
+    remedies = contact.remedies
+    contact.set_time(1.0)
+    assert remedies.constrain() and remedies.switches.constrained.all()
+    remedies.release()
+    assert not remedies.switches.constrained.any()
+    touching = contact_of_blocks("interfaces.lower_upper.gap=0 mm").remedies
+    assert not touching.constrain() and not touching.switches.constrained.any()
+
+
+def test_contact_remedies_open_contact_until_it_may_close() -> None:
+    remedies = contact_of_blocks().remedies
+    assert remedies.open() and remedies.switches.opened.all()
+    remedies.allow_closing()
+    assert not remedies.switches.opened.any()
+    # Contact has no internal variables to freeze.
+    assert not remedies.freeze()
+
+
+def test_contact_remedies_relax_given_pressures_only_while_they_limit_friction() -> None:
+    remedies = contact_of_blocks().remedies
+    for _ in range(2):
+        with pytest.raises(ValueError, match="friction is not limited by given pressures"):
+            remedies.relax_tresca_friction(0.5)
+        assert remedies.begin_tresca_friction()
+        # Nothing acts yet: given and last pressures are zero.
+        assert remedies.relax_tresca_friction(0.5) == 0.0
+        remedies.end_tresca_friction()
+    assert not contact_of_blocks(FRICTIONLESS).remedies.begin_tresca_friction()
+
+
+def test_contact_remedies_move_given_pressures_by_shares() -> None:
+    """At a constant state a share s leaves (1 - s)^k of the difference after k updates."""
+    contact = contact_of_blocks()
+    remedies, n = contact.remedies, len(contact.local)
+    assert remedies.begin_tresca_friction()
+    e = np.tile([0.3, 0.0, 1.0], (n, 1)) * contact.local.weight[:, None]  # N
+    trial_force = contact.evaluate(e, contact.state.jump).trial_force
+    for k in range(4):
+        given = remedies.switches.tresca_force
+        assert given is not None
+        np.testing.assert_allclose(given, (1 - 0.75**k) * trial_force, rtol=1e-12, atol=1e-15)
+        assert remedies.relax_tresca_friction(0.25) == pytest.approx(0.75**k)
