@@ -136,6 +136,17 @@ class MeshData:
         cell, face = np.nonzero(is_other & (behind >= 0))
         return cell, face, behind[cell, face]
 
+    @cached_property
+    def faces_of_facets(self) -> Ints:
+        """Row of `cell_faces` of each tagged facet, -1 if the facet is not exterior; shape (k,)."""
+        outside = np.flatnonzero(self.neighbours < 0)
+        keys, tagged_keys = same_triangles(
+            faces_of(self.cells, outside // 4, outside % 4)[:, :3], self.facets[:, :3]
+        )
+        order = np.argsort(keys)
+        rows = order[np.searchsorted(keys, tagged_keys, sorter=order).clip(max=len(keys) - 1)]
+        return np.where(keys[rows] == tagged_keys, outside[rows], -1)
+
 
 def cell_faces(cells: Ints) -> Ints:
     """The faces of every cell, outward, shape (4 m, 3 or 6); face f of cell c is row 4 c + f."""

@@ -38,6 +38,12 @@ VTK_TETRAHEDRON: Edges = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 MOST_NEWTON_ITERATIONS = 12
 
 
+def node_coordinates(vertices: int, edges: Edges) -> Floats:
+    """Barycentric coordinates (v + e, v) of the nodes of an element with v vertices and e edges."""
+    corners = np.eye(vertices)
+    return np.vstack([corners, *(corners[[i, j]].mean(axis=0) for i, j in edges)])
+
+
 def shape_functions(barycentric: Floats, edges: Edges) -> Floats:
     """Shape functions (q, v + e) [-] at points.
 
