@@ -84,15 +84,6 @@ def point(x: Floats) -> Point3:
     return float(x[0]), float(x[1]), float(x[2])
 
 
-def _interpolated(position: float, values: tuple[float, ...]) -> float:
-    """Linear interpolation of values at 0, 1, 2, ..., constant beyond."""
-    position = min(max(position, 0.0), len(values) - 1.0)
-    lower_index = min(int(position), len(values) - 2)
-    return values[lower_index] + (position - lower_index) * (
-        values[lower_index + 1] - values[lower_index]
-    )
-
-
 class Resection(Section):
     """The cut across the neck."""
 
@@ -402,8 +393,10 @@ class Hip(Shape):
         core = 3.0 * max(lines_around - 2.0, 0.041 * lines_around**2 + 1.5 * lines_around - 6.0)
         cement = range_of_thickness(self.cement_thickness)[1]
         filled_thickness = cement - self.widening
-        open_ = 1.0 - _interpolated(filled_thickness, FILLED)
-        unfilled_below = 1.0 - _interpolated(filled_thickness, FILLED_BELOW)
+        open_ = 1.0 - float(np.interp(filled_thickness, range(len(FILLED)), FILLED))
+        unfilled_below = 1.0 - float(
+            np.interp(filled_thickness, range(len(FILLED_BELOW)), FILLED_BELOW)
+        )
         widths = (1.0 + 0.7 * cement, CANCELLOUS_WIDTH, CORTICAL_WIDTH - self.widening)
         through, cancellous, cortical = (
             min(cells, max(1.0, width / length))
