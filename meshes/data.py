@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -34,55 +34,6 @@ class StepKeys(Protocol):
 
     def steps(self, length: float) -> int:
         """Number of equal steps along a stem in a length, each about `step_along`."""
-
-
-class MeshKeys(StepKeys, Protocol):
-    """Keys of the section `mesh` of a case that meshers read; lengths in mm."""
-
-    @property
-    def size(self) -> float:
-        """Edge length at the interfaces."""
-
-    @property
-    def far_size_or_default(self) -> float:
-        """Edge length far from the interfaces; by default a multiple of `size`."""
-
-    @property
-    def far_size(self) -> float | None:
-        """Key of the case: edge length far from the interfaces; None if it is not given."""
-
-    @property
-    def curved(self) -> bool | None:
-        """True if cells are curved."""
-
-    @property
-    def step_along(self) -> float:
-        """Largest step along a stem."""
-
-    @property
-    def least_through(self) -> tuple[float, float, float]:
-        """Least length of cells through cement, cancellous and cortical bone."""
-
-    def model_copy(self, *, update: Mapping[str, Any]) -> Self:
-        """The keys with some of them changed."""
-
-    def model_dump(self) -> dict[str, Any]:
-        """Keys and values."""
-
-    def lines_around(self, section: tuple[float, float, float], cement: Any) -> int:
-        """Lines around a stem, by half-width, half-depth, corner radius of a section; by cement."""
-
-    def along_cement(self, cement: Any) -> float:
-        """Mean number of cells through cement of a thickness.
-
-        2.3 means that 30 % of the area has three cells, and the rest two.
-        """
-
-    def cells_through(self, cement: Any) -> tuple[int, int, int]:
-        """Most cells through cement of a thickness, cancellous and cortical bone."""
-
-    def graded(self, length: float, part: str) -> tuple[list[float], int, float]:
-        """Distances of growing steps, then number and size of equal steps, in a length."""
 
 
 @dataclass(frozen=True)

@@ -29,9 +29,7 @@ from app.schema.section import Section, did_you_mean, fail, show
 from app.schema.units import Angle, Dimension, Length, PositiveLength
 from app.system import folders
 from meshes.placement import (
-    InsertionKeys,
     Placement,
-    ResectionKeys,
     head_in_words,
     placement_of,
     shoulder_level,
@@ -40,7 +38,9 @@ from meshes.placement import (
 
 # `best_position` and `room` are imported where they are used: scipy takes 0.15 s.
 if TYPE_CHECKING:
+    from app.case.femurs import FemurResection
     from meshes.bone_layers import LayeredBone
+    from meshes.layered_surfaces import LayeredSurfaces
 
 BONE = ("cortical_bone", "cancellous_bone")
 OF_BONE = dict.fromkeys(BONE, "bone")
@@ -205,13 +205,11 @@ class Hip(Shape):
     default 0 in cement, and 5 mm without cement."""
 
     if TYPE_CHECKING:
+        stem: Stem | StemFile
+        resection: Resection | FemurResection
 
         @property
-        def resection(self) -> ResectionKeys:
-            """The cut across the neck."""
-
-        @property
-        def insertion(self) -> InsertionKeys | None:
+        def insertion(self) -> Insertion | None:
             """Position of the stem; None: along the shaft's axis."""
 
     @property
@@ -221,12 +219,21 @@ class Hip(Shape):
 
     @property
     def femur(self) -> LayeredBone:
-        """The bone before the operation, as `meshes.placement` describes it."""
+        """The bone before the operation, as `meshes.bone_layers` describes it."""
         raise NotImplementedError
 
     @property
     def implant(self) -> Implant:
         """The stem in its axes."""
+        raise NotImplementedError
+
+    @property
+    def more_room(self) -> tuple[str, str]:
+        """Key of the stem's position, and the advice if the stem does not fit."""
+        raise NotImplementedError
+
+    def surfaces(self, mesh: MeshOptions) -> LayeredSurfaces:
+        """The nested surfaces that are meshed."""
         raise NotImplementedError
 
     @property
@@ -480,17 +487,8 @@ class OperatedHip(Hip):
             return {"interfaces": tuple(UNCEMENTED)}
         return {"regions": ("cement",), "interfaces": tuple(CEMENTED)}
 
-    if TYPE_CHECKING:
-        insertion: Insertion | None
-        stem: Stem | StemFile
-
     # Gain of a position that was searched, in words.
     _gain: str = PrivateAttr("")
-
-    @property
-    def more_room(self) -> tuple[str, str]:
-        """Key of the stem's position, and the advice if the stem does not fit."""
-        raise NotImplementedError
 
     @property
     def ways_to_widen_canal(self) -> tuple[str, ...]:
