@@ -18,6 +18,7 @@ from importlib import import_module
 from itertools import combinations, product
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,7 +29,6 @@ from meshes import cache as _cache
 from meshes import quality as _quality
 from meshes.data import (
     MeshData,
-    MeshKeys,
     boundary_areas,
     canonical,
     connected_components,
@@ -37,10 +37,14 @@ from meshes.data import (
     interface_facets,
     region_volumes,
 )
-from meshes.geometry import FileKeys, GeometryKeys, is_file, is_hip
+from meshes.geometry import is_file, is_hip
 from meshes.imported import build as build_imported
 from meshes.imported import write as write_msh
 from meshes.pieces import coincident
+
+if TYPE_CHECKING:
+    from app.case.geometries import MeshFile
+    from app.case.shapes import MeshOptions, Shape
 
 __all__ = ["MeshData", "build", "write_msh"]
 
@@ -51,7 +55,7 @@ SIZE_FACTORS = (1.05, 0.95, 1.1, 0.9, 1.2, 1.35, 1.6)
 MANTLE_RANGE = (1.0, 8.0)  # mm of cement that a femur may have
 
 
-def build(geometry: GeometryKeys, mesh: MeshKeys, cache: Path | None = None) -> MeshData:
+def build(geometry: Shape, mesh: MeshOptions, cache: Path | None = None) -> MeshData:
     """Mesh a geometry, or take the mesh from the cache; the same input gives the same mesh.
 
     ``geometry`` is one of the case's geometries, which names its ``mesher``; ``mesh`` has ``size``,
@@ -73,7 +77,7 @@ def build(geometry: GeometryKeys, mesh: MeshKeys, cache: Path | None = None) -> 
     return data
 
 
-def _make(geometry: GeometryKeys, mesh: MeshKeys) -> MeshData:
+def _make(geometry: Shape, mesh: MeshOptions) -> MeshData:
     # Imported here: a block needs no femur, and no scipy.
     mesher = import_module(geometry.mesher)
     try:
@@ -112,13 +116,13 @@ def _make(geometry: GeometryKeys, mesh: MeshKeys) -> MeshData:
     return replace(data, notes=notes, given_neighbours=None)  # others may change the cells
 
 
-def _checked(mesher: ModuleType, geometry: GeometryKeys, mesh: MeshKeys) -> tuple[MeshData, Floats]:
+def _checked(mesher: ModuleType, geometry: Shape, mesh: MeshOptions) -> tuple[MeshData, Floats]:
     """Return the mesh and the quality of its cells (m,), all of which are good enough."""
     data = canonical(mesher.build(geometry, mesh))
     return data, _quality.check(data.points, data.cells, data.cell_tags, data.regions)
 
 
-def _remedy(mesher: ModuleType, geometry: GeometryKeys, mesh: MeshKeys) -> str:
+def _remedy(mesher: ModuleType, geometry: Shape, mesh: MeshOptions) -> str:
     """Return the change that gives good cells: a size that meshes, else a thickness of cement."""
     if is_file(geometry):
         return "Try another mesh.size." if geometry.is_script else "Repair the mesh file."
@@ -128,7 +132,7 @@ def _remedy(mesher: ModuleType, geometry: GeometryKeys, mesh: MeshKeys) -> str:
         return [candidate for candidate in candidates if lowest <= candidate <= highest]
 
     sizes = lengths_near(mesh.size, 0.0, min(mesh.far_size_or_default, geometry.coarsest_size))
-    changes: list[tuple[str, float, GeometryKeys, MeshKeys]] = [
+    changes: list[tuple[str, float, Shape, MeshOptions]] = [
         ("mesh.size", x, geometry, mesh.model_copy(update={"size": x})) for x in sizes
     ]
     thickness = getattr(geometry, "cement_thickness", None)
@@ -222,7 +226,7 @@ def _touching_regions(data: MeshData) -> Iterator[tuple[str, str, Ints]]:
             yield a, b, faces_of(data.cells, cell[is_between], face[is_between])
 
 
-def meeting(geometry: FileKeys, mesh: MeshKeys) -> tuple[list[tuple[str, str]], list[str]]:
+def meeting(geometry: MeshFile, mesh: MeshOptions) -> tuple[list[tuple[str, str]], list[str]]:
     """Pairs of regions of a gmsh file that meet, and its interior surfaces."""
     data = canonical(build_imported(geometry, mesh))
     return [(a, b) for a, b, _ in _touching_regions(data)], data.notes["interior_surfaces"]

@@ -11,11 +11,10 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import linprog
@@ -26,16 +25,11 @@ from app.foundation.errors import GeometryError
 from app.foundation.layout import alternatives
 from meshes import cache, femur_stem, room
 from meshes.femur_stem import Thickness
-from meshes.geometry import HipKeys
-from meshes.placement import (
-    NO_POSITION,
-    InsertionKeys,
-    Placement,
-    Position,
-    VersionKeys,
-    position,
-)
+from meshes.placement import NO_POSITION, Placement, Position, position
 from meshes.room import StemSurface, WidestCanal
+
+if TYPE_CHECKING:
+    from app.case.hips import Hip, Insertion, OperatedHip, Search
 
 SEARCH_VERSION = 2  # raise it whenever the same input gives another position
 NUMBERS = ("varus", "flexion", "version", "medial", "anterior")
@@ -58,63 +52,6 @@ SHOWN_GAIN = 0.005
 LENGTH_DIGITS = 1  # decimals of a position's lengths [mm]
 
 
-class SearchKeys(Protocol):
-    """Largest changes of a position in a search, in rad and mm."""
-
-    @property
-    def varus(self) -> float:
-        """Largest change of varus."""
-
-    @property
-    def flexion(self) -> float:
-        """Largest change of flexion."""
-
-    @property
-    def version(self) -> float:
-        """Largest change of the angle of version."""
-
-    @property
-    def offset(self) -> float:
-        """Largest change of both offsets."""
-
-
-class CopiedVersion(VersionKeys, Protocol):
-    """Rotation of the stem, whose keys can be changed."""
-
-    def model_copy(self, *, update: Mapping[str, Any]) -> Self:
-        """The rotation with some keys changed."""
-
-
-class SearchedInsertion(InsertionKeys, Protocol):
-    """Position of a stem that is searched."""
-
-    @property
-    def version(self) -> CopiedVersion:
-        """Rotation about the shaft's axis."""
-
-    @property
-    def best(self) -> SearchKeys | None:
-        """Limits of the search; None: no search."""
-
-    def model_copy(self, *, update: Mapping[str, Any]) -> Self:
-        """The position with some keys changed."""
-
-
-class SearchedHip(HipKeys, Protocol):
-    """A hip whose stem is put where there is most room."""
-
-    @property
-    def ways_to_widen_canal(self) -> tuple[str, ...]:
-        """Ways to widen the canal, if there is one, for the advice if the stem does not fit."""
-
-    @property
-    def least_room(self) -> float:
-        """Room that the stem must have everywhere [mm]."""
-
-
-InsertionT = TypeVar("InsertionT", bound=SearchedInsertion)
-
-
 @dataclass(frozen=True)
 class Limits:
     """Largest changes of a position, in rad and mm."""
@@ -126,7 +63,7 @@ class Limits:
     anterior: float
 
     @classmethod
-    def of(cls, keys: SearchKeys) -> Limits:
+    def of(cls, keys: Search) -> Limits:
         """Return the limits that the keys of a search give."""
         return cls(keys.varus, keys.flexion, keys.version, keys.offset, keys.offset)
 
@@ -219,15 +156,15 @@ def _excess(
     ), x
 
 
-def wanted_thickness(geometry: HipKeys, placement: Placement) -> Thickness:
+def wanted_thickness(geometry: Hip, placement: Placement) -> Thickness:
     """Thickness of the mantle that a geometry asks for; without cement `UNCEMENTED`."""
     thickness = geometry.cement_thickness or UNCEMENTED
     return femur_stem.thickness(thickness, geometry.implant.tip_z, placement.top)
 
 
 def searched(
-    geometry: SearchedHip, insertion: InsertionT, folder: Path | None
-) -> tuple[InsertionT, str]:
+    geometry: OperatedHip, insertion: Insertion, folder: Path | None
+) -> tuple[Insertion, str]:
     """Keys of the best position of a stem, and its gain of room, in words.
 
     A search takes 4 s of a core. Its result is kept, because each rank and each case of a sweep
@@ -259,13 +196,13 @@ def searched(
 
 
 def _with_numbers(
-    insertion: InsertionT,
+    insertion: Insertion,
     varus: float,
     flexion: float,
     angle: float,
     medial: float,
     anterior: float,
-) -> InsertionT:
+) -> Insertion:
     """Keys of an insertion at a position, in rad and mm, without a search."""
     keys = {
         "varus": varus,
@@ -278,7 +215,7 @@ def _with_numbers(
     return insertion.model_copy(update=keys)
 
 
-def _search(geometry: SearchedHip, insertion: SearchedInsertion) -> tuple[list[float], str]:
+def _search(geometry: OperatedHip, insertion: Insertion) -> tuple[list[float], str]:
     """Numbers of the best position, in the order of `_with_numbers`, and its gain in words."""
     start, limits = position(geometry), insertion.best
     assert limits is not None  # the position is to be searched

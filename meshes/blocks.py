@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
-from meshes.data import MeshData, MeshKeys, exterior_facets, mesh_data_of, number
-from meshes.geometry import StackKeys
+from meshes.data import MeshData, exterior_facets, mesh_data_of, number
 from meshes.gmsh_session import grade, session, tetrahedra
 
+if TYPE_CHECKING:
+    from app.case.geometries import Blocks
+    from app.case.shapes import MeshOptions
 
-def build(geometry: StackKeys, mesh: MeshKeys) -> MeshData:
+
+def build(geometry: Blocks, mesh: MeshOptions) -> MeshData:
     """Mesh a stack of blocks with the origin at its corner: interfaces are ``<lower>_<upper>``.
 
     Args:

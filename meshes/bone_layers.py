@@ -17,7 +17,6 @@ import numpy as np
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import GeometryError
 from meshes.layers import CORE_OVER, Sections, root
-from meshes.placement import ResectedBone
 
 RAY_LENGTH = 90.0  # mm: farther from the axis there is no bone
 LINE_FRACTIONS = np.linspace(0.0, 1.2, 25)  # of a line: places that are in bone or not
@@ -59,8 +58,39 @@ class BoneLayers(Protocol):
         """Raise GeometryError if a line, from start to end, meets bone more than once."""
 
 
-class LayeredBone(ResectedBone, Protocol):
-    """A bone that can be meshed."""
+class LayeredBone(Protocol):
+    """A femur before the operation, in the model's axes."""
+
+    @property
+    def neck(self) -> float:
+        """Azimuth of the neck, from medial to anterior [rad]."""
+
+    @property
+    def has_condyles(self) -> bool:
+        """True if the posterior condyles are known."""
+
+    @property
+    def mirrored(self) -> bool:
+        """True if the model is the mirror image of the bone: a right femur."""
+
+    @property
+    def head(self) -> Floats:
+        """Centre of the head (3,) [mm]."""
+
+    @property
+    def lowest(self) -> float:
+        """Level at which the surface ends [mm]."""
+
+    @property
+    def drawn(self) -> tuple[Floats, Ints]:
+        """Corners (n, 3) [mm] and triangles (m, 3) of the outer surface, for pictures."""
+
+    def reach(self, azimuth: float, height: float) -> float:
+        """Distance of the surface from the shaft's axis [mm].
+
+        Raises:
+            GeometryError: The axis is outside of the bone at this height.
+        """
 
     @property
     def is_radial(self) -> bool:

@@ -12,20 +12,23 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from app.foundation import files
-from meshes.data import MeshData, MeshKeys
-from meshes.geometry import GeometryKeys, is_file
+from meshes.data import MeshData
+from meshes.geometry import is_file
+
+if TYPE_CHECKING:
+    from app.case.shapes import MeshOptions, Shape
 
 log = logging.getLogger("mantle")
 
 MESHER_VERSION = 44  # raise it whenever the same input gives another mesh or other notes
 
 
-def mesh_hash(geometry: GeometryKeys, mesh: MeshKeys) -> str:
+def mesh_hash(geometry: Shape, mesh: MeshOptions) -> str:
     """Hash of everything the mesh depends on; of files their content, not their names."""
     content = geometry_content(geometry)
     content["mesh"] = mesh.model_dump()
@@ -40,7 +43,7 @@ def mesh_hash(geometry: GeometryKeys, mesh: MeshKeys) -> str:
     return hash_of(content)
 
 
-def geometry_content(geometry: GeometryKeys) -> dict[str, Any]:
+def geometry_content(geometry: Shape) -> dict[str, Any]:
     """Content of a geometry and its files, and the version of the meshers."""
     keys = _without_paths(geometry.model_dump())
     return {"geometry": keys, "files": geometry.content, "version": MESHER_VERSION}

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import math
 from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
-from meshes.data import MeshData, MeshKeys, exterior_facets, mesh_data_of, number
-from meshes.geometry import CylinderKeys
+from meshes.data import MeshData, exterior_facets, mesh_data_of, number
 from meshes.gmsh_session import grade, session, tetrahedra
 from meshes.quality import POOR, sicn
+
+if TYPE_CHECKING:
+    from app.case.geometries import Cylinders
+    from app.case.shapes import MeshOptions
 
 SLICE_LENGTH = 2.0  # mesh sizes: shorter cylinders may be swept
 Radii = tuple[float, float, float]  # of the stem, the cement and the bone [mm]
 
 
-def build(geometry: CylinderKeys, mesh: MeshKeys) -> MeshData:
+def build(geometry: Cylinders, mesh: MeshOptions) -> MeshData:
     """Mesh concentric cylinders about the z axis, from z = 0 (distal) to ``length``.
 
     Regions are stem, cement and bone, interfaces stem_cement and cement_bone.
@@ -53,7 +57,7 @@ def build(geometry: CylinderKeys, mesh: MeshKeys) -> MeshData:
 
 
 def _tetrahedra(
-    geometry: CylinderKeys, mesh: MeshKeys, radii: Radii, swept: bool
+    geometry: Cylinders, mesh: MeshOptions, radii: Radii, swept: bool
 ) -> tuple[Floats, Ints, Ints]:
     """Nodes, cells and the volume of each cell."""
     slope, length = math.tan(geometry.taper), geometry.length
@@ -99,7 +103,7 @@ def _slice(gmsh: ModuleType, radii: Radii, length: float, sector: str, layers: i
 
 
 def _boundaries(
-    x: Floats, region: Ints, regions: dict[str, int], geometry: CylinderKeys, outer: float
+    x: Floats, region: Ints, regions: dict[str, int], geometry: Cylinders, outer: float
 ) -> dict[str, Bools]:
     """Masks over facets with corners x (n, 3, 3): ends, planes of symmetry, the outer surface."""
     tolerance = 1e-6 * geometry.length

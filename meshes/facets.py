@@ -6,10 +6,12 @@ import numpy as np
 
 from app.foundation.arrays import Floats
 from meshes.data import tangents
-from meshes.shape_functions import OPPOSITE_TRIANGLE, STRAIGHT, shape_functions
+from meshes.shape_functions import OPPOSITE_TRIANGLE, STRAIGHT, node_coordinates, shape_functions
 
-# The vertices of a triangle, and the middles of the edges opposite them.
-NODES = np.concatenate([np.eye(3), (1 - np.eye(3)) / 2])
+# Nodes of a facet: its vertices, and the middles of the edges opposite them.
+NODES = node_coordinates(3, OPPOSITE_TRIANGLE)
+# Nodes of gmsh's facets in this order.
+OPPOSITE = [0, 1, 2, 4, 5, 3]
 
 
 def normals_and_areas(x: Floats, barycentric: Floats) -> tuple[Floats, Floats]:

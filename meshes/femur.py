@@ -9,35 +9,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
 from meshes import swept
-from meshes.data import (
-    MeshData,
-    MeshKeys,
-    Sides,
-    facet_areas,
-    interface_facets,
-    mesh_data_of,
-    number,
-)
-from meshes.geometry import HipKeys
+from meshes.data import MeshData, Sides, facet_areas, interface_facets, mesh_data_of, number
 from meshes.layered_surfaces import LayeredSurfaces
+
+if TYPE_CHECKING:
+    from app.case.hips import Hip, OperatedHip
+    from app.case.shapes import MeshOptions
 
 PATCH_RADIUS = 8.0  # of a muscle's attachment [mm]
 
 
-class OperatedHipKeys(HipKeys, Protocol):
-    """A proximal femur with a stem."""
-
-    def surfaces(self, mesh: MeshKeys) -> LayeredSurfaces:
-        """The nested surfaces that are meshed."""
-
-
-def build(geometry: OperatedHipKeys, mesh: MeshKeys) -> MeshData:
+def build(geometry: OperatedHip, mesh: MeshOptions) -> MeshData:
     """Mesh the femur with the regions and interfaces of the geometry.
 
     Boundaries are distal_cut, bone_surface, stem_trunnion, resection and six muscle patches;
@@ -78,7 +66,7 @@ def _collar(data: MeshData, surfaces: LayeredSurfaces) -> str:
 
 
 def assembled(
-    geometry: HipKeys,
+    geometry: Hip,
     swept_mesh: swept.Swept,
     x: Floats,
     regions: tuple[str, ...],
@@ -95,7 +83,7 @@ def assembled(
     return replace(data, notes=notes, given_neighbours=swept_mesh.partner.reshape(-1, 4) // 4)
 
 
-def _patches(geometry: HipKeys, points: Floats, facets: Ints, surface: Bools) -> dict[str, Bools]:
+def _patches(geometry: Hip, points: Floats, facets: Ints, surface: Bools) -> dict[str, Bools]:
     """Masks over exterior facets of the bone, for each muscle attachment.
 
     A patch is the facets nearest to the insertion with the total area of a disc of `PATCH_RADIUS`,

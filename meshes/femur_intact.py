@@ -18,19 +18,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from app.foundation.arrays import Floats, Ints
 from app.foundation.implant import Implant
 from meshes import swept
-from meshes.data import MeshData, MeshKeys
+from meshes.data import MeshData
 from meshes.femur import assembled
-from meshes.geometry import IntactHipKeys
 from meshes.layered_surfaces import LEAST_MANTLE, MANTLE_BELOW_PLUG, LayeredSurfaces
 from meshes.layers import DIGITS_OF_NODES, Lines, Nodes
 from meshes.reference_body import ReferenceBody, Segment
+
+if TYPE_CHECKING:
+    from app.case.femurs import IntactFemur
+    from app.case.shapes import MeshOptions
 
 REGIONS = ("cortical_bone", "cancellous_bone")
 # Sections for the lines of the mesh over those of a planned stem without cement [-]. A slim stem
@@ -65,7 +68,7 @@ class IntactFemurSurfaces(LayeredSurfaces):
         ball: Station of the last section of the ball; beyond it a lid closes the shell.
     """
 
-    _geometry: IntactHipKeys
+    _geometry: IntactFemur
     neck: int
     ball: int
     # Set by `_divide_above_cut`: radius of the head [mm], unit vectors along the neck and medial
@@ -239,7 +242,7 @@ def _extended(
     )
 
 
-def build(geometry: IntactHipKeys, mesh: MeshKeys) -> MeshData:
+def build(geometry: IntactFemur, mesh: MeshOptions) -> MeshData:
     """Mesh the bone: two regions.
 
     Boundaries are distal_cut, bone_surface, head and six muscle patches. ``head`` and the muscle

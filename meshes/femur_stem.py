@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from app.foundation.arrays import FloatOrFloats, Floats, unit_vectors
 from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
 from meshes.data import StepKeys
+
+if TYPE_CHECKING:
+    from app.case.shapes import GradedThickness
 
 # Mesh lines per length on a corner's arc, relative to a flat side.
 ARC_WEIGHT = 1.6
@@ -50,15 +53,7 @@ SHOULDER_RISE = 6.0
 Thickness = Callable[[Floats, Floats], Floats]
 
 
-class Graded(Protocol):
-    """Thickness of a mantle by height and side."""
-
-    @property
-    def tables(self) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
-        """Mean thickness [mm] by fraction of the height; ratio to it by angle in turns."""
-
-
-def thickness(given: float | Graded, low: float, top: float) -> Thickness:
+def thickness(given: float | GradedThickness, low: float, top: float) -> Thickness:
     """Thickness of a mantle at angles and levels, given from the tip's level to the cut's [mm]."""
     if isinstance(given, float):
         return lambda theta, z: np.full(np.shape(z), given)

@@ -24,8 +24,8 @@ from meshes.shape_functions import (
     GMSH_TRIANGLE,
     STRAIGHT,
     Edges,
+    coordinates_in_curved,
     shape_functions,
-    slopes_of_shape_functions,
 )
 
 # Rings of points, and points on each ring.
@@ -39,8 +39,6 @@ LARGEST_TILT = 60.0
 ROUNDING_OF_BARYCENTRIC = 1e-9
 # Points this far outside the flat triangle of a curved facet may lie in the facet.
 OUTSIDE_FLAT_TRIANGLE = 0.5
-# Iterations of Newton's method in a curved facet.
-MOST_NEWTON_ITERATIONS = 10
 # Improvements of the normal by the facets below the circle.
 IMPROVEMENTS = 2
 
@@ -288,18 +286,7 @@ def _on_lines(x: Floats, points: Floats, axis: Floats) -> list[tuple[int, int, F
 
 def _in_curved(plane_nodes: Floats, plane_points: Floats, barycentric: Floats) -> Floats:
     """Coordinates (n, 3) in curved facets, seen in a plane (n, 6, 2), of points there (n, 2)."""
-    for _ in range(MOST_NEWTON_ITERATIONS if len(barycentric) else 0):
-        residual = plane_points - np.einsum(
-            "nk,nkc->nc", shape_functions(barycentric, GMSH_TRIANGLE), plane_nodes
-        )
-        slopes = slopes_of_shape_functions(barycentric, GMSH_TRIANGLE)
-        jacobian = np.einsum("nkc,nkd->ncd", plane_nodes, slopes)
-        regular = np.abs(np.linalg.det(jacobian)) > 0
-        step = np.zeros_like(residual)
-        step[regular] = np.linalg.solve(jacobian[regular], residual[regular][:, :, None])[:, :, 0]
-        barycentric = barycentric + np.column_stack([-step.sum(axis=1), step])
-        # A line that misses the facet may have no solution: its iterates stay near the facet.
-        barycentric = np.clip(barycentric, -1.0, 2.0)
+    barycentric = coordinates_in_curved(plane_points, plane_nodes, barycentric, GMSH_TRIANGLE)
     residual = plane_points - np.einsum(
         "nk,nkc->nc", shape_functions(barycentric, GMSH_TRIANGLE), plane_nodes
     )

@@ -14,12 +14,17 @@ down to the distal cut would depend on the place of the cut. Bone below is in no
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
 from meshes import femur_stem
-from meshes.geometry import HipKeys, is_radial
+from meshes.geometry import is_radial
 from meshes.placement import shoulder_level
+
+if TYPE_CHECKING:
+    from app.case.hips import Hip
 
 BELOW_TIP = 20.0  # mm below the tip that belong to zones 4 and 11
 RIM_HEIGHT = 10.0  # mm below the neck cut whose interfaces are reported apart
@@ -40,7 +45,7 @@ class Zones:
     numbers = range(1, 15)
     regions = ("cortical_bone", "cancellous_bone")
 
-    def __init__(self, geometry: HipKeys) -> None:
+    def __init__(self, geometry: Hip) -> None:
         self._geometry, self._local = geometry, geometry.placement.to_stem
         placement, implant = geometry.placement, geometry.implant
         self._normal = placement.normal @ placement.rotation

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import GeometryError
 from meshes.data import (
     MeshData,
-    MeshKeys,
     cell_volumes,
     connected,
     exterior_facets,
@@ -23,11 +23,14 @@ from meshes.data import (
     number,
     same_triangles,
 )
-from meshes.geometry import FileKeys
 from meshes.gmsh_reader_process import ReadRequest
 from meshes.gmsh_session import MILLIMETRES, session
 from meshes.pieces import coincident
 from meshes.quality import bent, overlapping, places, untangle
+
+if TYPE_CHECKING:
+    from app.case.geometries import MeshFile
+    from app.case.shapes import MeshOptions
 
 # Exchanging the first two vertices of a tetrahedron mirrors it; its edge nodes follow.
 _MIRROR = {4: [1, 0, 2, 3], 10: [1, 0, 2, 3, 4, 6, 5, 9, 8, 7]}
@@ -52,7 +55,7 @@ class FileMesh:
     messages: list[str] = field(default_factory=list)
 
 
-def build(geometry: FileKeys, mesh: MeshKeys) -> MeshData:
+def build(geometry: MeshFile, mesh: MeshOptions) -> MeshData:
     """Read a file of straight or quadratic tetrahedra, or run a script.
 
     Args:
@@ -142,7 +145,7 @@ def _messages(mesh_file: FileMesh, cells: int, inverted: int) -> list[str]:
     return messages
 
 
-def _read(geometry: FileKeys, mesh: MeshKeys) -> FileMesh:
+def _read(geometry: MeshFile, mesh: MeshOptions) -> FileMesh:
     """Read the file; gmsh reads in a child process (`meshes.gmsh_reader_process.read`)."""
     path = geometry.path
     with tempfile.TemporaryDirectory(prefix="mantle-gmsh-") as folder:
@@ -168,7 +171,7 @@ def _read(geometry: FileKeys, mesh: MeshKeys) -> FileMesh:
     return FileMesh(arrays["points"], cells, surfaces, int(arrays["everything"]))
 
 
-def _of_others(path: Path, geometry: FileKeys) -> FileMesh:
+def _of_others(path: Path, geometry: MeshFile) -> FileMesh:
     """Read a file of another program.
 
     Boundaries of sets of nodes have the facets whose nodes are all in the set. Coincident nodes are

@@ -17,7 +17,7 @@ import math
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,12 +28,14 @@ from app.foundation.layout import two_digits
 from meshes import femur_stem
 from meshes.bone_layers import BoneLayers
 from meshes.cad_stem import CadStem
-from meshes.data import MeshKeys
 from meshes.femur_stem import StemAboveCut
-from meshes.geometry import HipKeys
 from meshes.layers import DIGITS_OF_NODES, Lines, Nodes, Sections, root
 from meshes.placement import LEAST_SHOULDER_DEPTH
 from meshes.reference_body import COARSENING_OF_CORE, ReferenceBody, Segment
+
+if TYPE_CHECKING:
+    from app.case.hips import Hip
+    from app.case.shapes import MeshOptions
 
 MANTLE_BELOW_PLUG = 0.6  # of the canal: where the outer side of the mantle goes below the plug
 CAD_COARSER = 1.4  # as `COARSENING_OF_CORE`, of stems from CAD, whose shoulders are not convex
@@ -75,7 +77,7 @@ class StemWithMantle:
         is_cad: True if it is from a file.
     """
 
-    def __init__(self, geometry: HipKeys, mesh: MeshKeys) -> None:
+    def __init__(self, geometry: Hip, mesh: MeshOptions) -> None:
         implant, placement = geometry.implant, geometry.placement
         self._implant, self._placement, self._mesh = implant, placement, mesh
         self.plug, self.is_cemented = implant.plug, geometry.is_cemented
@@ -172,7 +174,7 @@ class LayeredSurfaces:
     coarser, spared = COARSENING_OF_CORE, 0.0
     mirrored = range(0)
 
-    def __init__(self, geometry: HipKeys, mesh: MeshKeys) -> None:
+    def __init__(self, geometry: Hip, mesh: MeshOptions) -> None:
         self.mesh, self._placement = mesh, geometry.placement
         self._geometry = geometry
         self.notes = list[str]()
@@ -521,7 +523,7 @@ class LayeredSurfaces:
 
 
 @lru_cache(maxsize=2)
-def cached_surfaces(geometry: HipKeys, mesh: MeshKeys, files: str) -> LayeredSurfaces:
+def cached_surfaces(geometry: Hip, mesh: MeshOptions, files: str) -> LayeredSurfaces:
     """Return the surfaces of a patient. With a stem from CAD they take some seconds."""
     return LayeredSurfaces(geometry, mesh)
 
@@ -545,7 +547,7 @@ def _rounded_up(length: float) -> float:
     return math.ceil(fractions * length) / fractions
 
 
-def _distances(mesh: MeshKeys, length: float, part: str) -> Floats:
+def _distances(mesh: MeshOptions, length: float, part: str) -> Floats:
     """Distances from 0 to a length in the steps of a mesh that grow [mm]."""
     growing, count, step = mesh.graded(length, part)
     all_distances = np.concatenate([growing, growing[-1] + step * np.arange(1, count + 1)])

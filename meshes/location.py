@@ -10,8 +10,8 @@ from app.foundation.arrays import Floats, Ints
 from meshes.shape_functions import (
     GMSH_TETRAHEDRON,
     STRAIGHT,
+    coordinates_in_curved,
     shape_functions,
-    slopes_of_shape_functions,
 )
 
 # Points this far outside a cell still belong to it, in barycentric coordinates: cells cut curved
@@ -19,10 +19,6 @@ from meshes.shape_functions import (
 OUTSIDE_CELL = 0.1
 # Digits to which barycentric coordinates are compared, so that rounding does not choose the cell.
 DIGITS_OF_BARYCENTRIC = 9
-# Iterations of Newton's method in a curved cell; straight cells need none.
-MOST_NEWTON_ITERATIONS = 12
-# Derivatives of the barycentric coordinates with respect to those of the reference cell (4, 3).
-SLOPES = np.vstack([-np.ones(3), np.eye(3)])
 
 
 @dataclass(frozen=True)
@@ -93,18 +89,10 @@ def _coordinates_in_cells(x: Floats, point: Floats) -> Floats:
         return barycentric
     # Far from a cell its quadratic map may have no inverse.
     is_close = np.flatnonzero(barycentric.min(axis=1) >= -2 * OUTSIDE_CELL)
-    coordinates = barycentric[is_close]
-    for _ in range(MOST_NEWTON_ITERATIONS if len(is_close) else 0):
-        values = shape_functions(coordinates, GMSH_TETRAHEDRON)
-        slopes = slopes_of_shape_functions(coordinates, GMSH_TETRAHEDRON)
-        residual = point - np.einsum("ma,mai->mi", values, x[is_close])
-        jacobian = np.einsum("maj,mai->mij", slopes, x[is_close])
-        coordinates = (
-            coordinates + np.linalg.solve(jacobian, residual[:, :, None])[:, :, 0] @ SLOPES.T
-        )
-        # A point outside may have no solution: its iterates stay near the cell.
-        coordinates = np.clip(coordinates, -1.0, 2.0)
-    barycentric[is_close] = coordinates
+    points = np.broadcast_to(point, (len(is_close), 3))
+    barycentric[is_close] = coordinates_in_curved(
+        points, x[is_close], barycentric[is_close], GMSH_TETRAHEDRON
+    )
     return barycentric
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from app.foundation.arrays import Floats, Ints
-from meshes.facets import facet_shape_functions, foot
+from meshes.facets import OPPOSITE, facet_shape_functions, foot
 
 # Number of parts into which the edges of curved facets are divided.
 EDGE_PARTS = 3
@@ -24,8 +24,7 @@ def triangles(points: Floats, facets: Ints, parts: int = EDGE_PARTS) -> Floats:
     corners = [[(i, j), (i + 1, j), (i, j + 1)] for i, j in nodes if i + j < parts]
     corners += [[(i + 1, j), (i + 1, j + 1), (i, j + 1)] for i, j in nodes if i + j < parts - 1]
     barycentric = np.array([(i, j, parts - i - j) for i, j in nodes]) / parts
-    # `facet_shape_functions` has the middle of 12 before that of 20 and 01.
-    x = points[facets[:, [0, 1, 2, 4, 5, 3]]]
+    x = points[facets[:, OPPOSITE]]
     fine = np.einsum("qn,fni->fqi", facet_shape_functions(barycentric, 6), x)
     return fine[:, [[row[node] for node in corner] for corner in corners]].reshape(-1, 3, 3)
 

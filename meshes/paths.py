@@ -14,18 +14,16 @@ import numpy as np
 from app.foundation.arrays import Bools, Floats, Ints
 from meshes.data import (
     MeshData,
-    exterior_facets,
     faces_of,
     interface_facets,
-    nodes_of_boundary_facets,
-    same_triangles,
 )
 from meshes.location import cells_of_points, positions_in_cells
+from meshes.shape_functions import GMSH_TRIANGLE, node_coordinates
 
 # Parts of a facet with six nodes, by these.
 QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
 # Barycentric coordinates of the nodes of a facet with six nodes.
-NODES = np.vstack([np.eye(3), [[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]]])
+NODES = node_coordinates(3, GMSH_TRIANGLE)
 # Shift of a plane through nodes, as a fraction of the surface's extent: it cuts edges, not nodes.
 SHIFT = 1e-7
 # Segments shorter than this fraction of their curve are left out.
@@ -127,12 +125,8 @@ def facets_of_interface(
     Of an interface that is meshed apart, with two boundaries, they are those of the second one.
     """
     if boundaries:
-        nodes = nodes_of_boundary_facets(data, boundaries[1])
-        outer, cells = exterior_facets(data.cells)
-        keys, outer_keys = same_triangles(nodes[:, :3], outer[:, :3])
-        order = np.argsort(outer_keys)
-        cells = cells[order[np.searchsorted(outer_keys[order], keys)]]
-        facets = Facets(nodes, cells)
+        on_boundary = np.isin(data.facet_tags, data.boundaries.get(boundaries[1], ()))
+        facets = Facets(data.facets[on_boundary], data.faces_of_facets[on_boundary] // 4)
     else:
         nodes, first, second = interface_facets(data, name)
         sides = data.interfaces[name]

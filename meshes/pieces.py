@@ -21,9 +21,8 @@ from meshes.data import (
     exterior_facets,
     facet_areas,
     interface_nodes,
-    same_triangles,
 )
-from meshes.facets import NODES, facet_shape_functions, nodal_normals, normals_and_areas
+from meshes.facets import NODES, OPPOSITE, facet_shape_functions, nodal_normals, normals_and_areas
 
 # Nodes this close, as a fraction of the mesh's diagonal, are meant to be one.
 COINCIDENT = 1e-7
@@ -31,9 +30,6 @@ COINCIDENT = 1e-7
 SMOOTH_ANGLE = np.radians(50)
 # Least cosine between the normal of a facet and the reversed one of a facet on which it lies.
 LEAST_COSINE = 0.9
-
-# Nodes of a facet, the middle of each edge in the place of the vertex opposite, as in `NODES`.
-OPPOSITE = [0, 1, 2, 4, 5, 3]
 
 
 @dataclass(frozen=True)
@@ -152,16 +148,12 @@ def pieces_of_mesh(
     # The pieces on both sides of each face, -1 outside.
     piece_of_face, behind = piece[cell], data.neighbours.ravel()
     piece_behind = np.where(behind < 0, -1, piece[behind])
-    outside = np.flatnonzero(behind < 0)
-    keys, tagged_keys = same_triangles(faces[outside, :3], data.facets[:, :3])
-    order = np.argsort(keys)
-    outside_rows = order[np.searchsorted(keys, tagged_keys, sorter=order).clip(max=len(keys) - 1)]
-    exterior = keys[outside_rows] == tagged_keys
-    cell_of_facet = np.where(exterior, cell[outside[outside_rows]], -1)
+    exterior = data.faces_of_facets >= 0
+    cell_of_facet = data.faces_of_facets // 4
     piece_of_facet = np.where(exterior, piece[cell_of_facet], -1)
     is_free = piece_of_face != piece_behind
     tags = [t for name in supported for t in data.boundaries.get(name, ())]
-    is_free[outside[np.isin(keys, tagged_keys[np.isin(data.facet_tags, tags)])]] = False
+    is_free[data.faces_of_facets[exterior & np.isin(data.facet_tags, tags)]] = False
     areas: Floats
     free: Floats
     areas, free = (
@@ -298,22 +290,11 @@ def _normals(data: MeshData, name: str, cell: Ints, middles: Floats) -> Floats:
 
 
 def coincident(points: Floats) -> Ints:
-    """Pairs of points (k, 2) that are equal but for rounding.
+    """Pairs of points (k, 2) that are equal but for rounding."""
+    from scipy.spatial import cKDTree  # 0.1 s, which most commands do without
 
-    Sorting along a random direction leaves few candidates.
-    """
     tolerance = COINCIDENT * float(np.linalg.norm(np.ptp(points, axis=0)))
-    projections = points @ np.random.default_rng(0).normal(size=3)
-    order = np.argsort(projections)
-    sorted_, pairs = projections[order], [np.zeros((0, 2), dtype=np.int64)]
-    for shift in range(1, len(points)):
-        candidates = np.flatnonzero(sorted_[shift:] - sorted_[:-shift] <= 3 * tolerance)
-        if not len(candidates):
-            break
-        a, b = order[candidates], order[candidates + shift]
-        is_same = np.linalg.norm(points[a] - points[b], axis=1) <= tolerance
-        pairs.append(np.sort(np.column_stack([a, b])[is_same], axis=1))
-    return np.concatenate(pairs)
+    return np.asarray(cKDTree(points).query_pairs(tolerance, output_type="ndarray"))
 
 
 def _doubled(

@@ -4,8 +4,8 @@ The model's axes: z along the shaft, proximal positive, 0 at the lesser trochant
 anterior. The stem's axes have their origin on its axis, at the level that its keys count from, z up
 its axis and x towards its head. Sections of the mesh are planes of the stem's axes.
 
-A bone answers the questions of `ResectedBone`: `femur_bone.FemurBone` of the parametric femur, or
-one of another package.
+A bone answers the questions of `bone_layers.LayeredBone`: `femur_bone.FemurBone` of the parametric
+femur, or one of another package.
 """
 
 from __future__ import annotations
@@ -13,15 +13,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from app.foundation.arrays import Floats, Ints
+from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
 from meshes import femur_stem
+
+if TYPE_CHECKING:
+    from app.case.hips import Hip
 
 ROUNDING_OF_CUT_NORMAL = 1e-12  # of a cut's normal: rounded off
 # Least depth of a shoulder below the cut [mm]; a higher one counts as at the cut.
@@ -84,128 +87,6 @@ class Placement:
         return "({:.0f}, {:.0f}, {:.0f}) mm".format(*x) + f", {abs(below)} mm {side} the cut"
 
 
-class ResectedBone(Protocol):
-    """A femur before the operation, in the model's axes."""
-
-    @property
-    def neck(self) -> float:
-        """Azimuth of the neck, from medial to anterior [rad]."""
-
-    @property
-    def has_condyles(self) -> bool:
-        """True if the posterior condyles are known."""
-
-    @property
-    def mirrored(self) -> bool:
-        """True if the model is the mirror image of the bone: a right femur."""
-
-    @property
-    def head(self) -> Floats:
-        """Centre of the head (3,) [mm]."""
-
-    @property
-    def lowest(self) -> float:
-        """Level at which the surface ends [mm]."""
-
-    @property
-    def drawn(self) -> tuple[Floats, Ints]:
-        """Corners (n, 3) [mm] and triangles (m, 3) of the outer surface, for pictures."""
-
-    def reach(self, azimuth: float, height: float) -> float:
-        """Distance of the surface from the shaft's axis [mm].
-
-        Raises:
-            GeometryError: The axis is outside of the bone at this height.
-        """
-
-
-class ResectionKeys(Protocol):
-    """The cut across the neck."""
-
-    @property
-    def height(self) -> float:
-        """Height at which it leaves the medial cortex [mm]."""
-
-    @property
-    def angle(self) -> float:
-        """Angle to the transverse plane [rad]."""
-
-    @property
-    def azimuth(self) -> float | None:
-        """Direction of its normal about the shaft, from medial to anterior [rad].
-
-        None: the neck's.
-        """
-
-
-class VersionKeys(Protocol):
-    """Rotation of the stem about the shaft's axis."""
-
-    @property
-    def relative_to(self) -> str:
-        """Line from which the angle is measured: neck or condyles."""
-
-    @property
-    def angle(self) -> float:
-        """The rotation, positive if the head moves to anterior [rad]."""
-
-
-class InsertionKeys(Protocol):
-    """Position of the stem in the femur."""
-
-    @property
-    def version(self) -> VersionKeys:
-        """Rotation about the shaft's axis."""
-
-    @property
-    def varus(self) -> float:
-        """Tilt, the tip to lateral, about the point where the stem's axis meets the cut [rad]."""
-
-    @property
-    def flexion(self) -> float:
-        """Tilt, the tip to posterior, about the same point [rad]."""
-
-    @property
-    def medial_offset(self) -> float:
-        """Distance of the stem's axis from the shaft's to medial [mm]."""
-
-    @property
-    def anterior_offset(self) -> float:
-        """Distance of the stem's axis from the shaft's to anterior [mm]."""
-
-
-class StemInBone(Protocol):
-    """Bone, cut and stem of a geometry, from which its placement follows."""
-
-    @property
-    def femur(self) -> ResectedBone:
-        """The bone before the operation."""
-
-    @property
-    def implant(self) -> Implant:
-        """The stem with its plug, in its axes."""
-
-    @property
-    def resection(self) -> ResectionKeys:
-        """The cut across the neck."""
-
-    @property
-    def insertion(self) -> InsertionKeys | None:
-        """Position of the stem; None: along the shaft's axis."""
-
-    @property
-    def shoulder_depth(self) -> float | None:
-        """Depth of the stem's shoulder below the cut [mm]; None: the implant has its level."""
-
-
-class PlacedStem(StemInBone, Protocol):
-    """Bone, cut and stem of a geometry, with its placement."""
-
-    @property
-    def placement(self) -> Placement:
-        """Cut and stem in the model's axes."""
-
-
 @dataclass(frozen=True)
 class Position:
     """Position of a stem in a bone. Lengths are in mm, angles in rad.
@@ -243,7 +124,7 @@ class CutPlane:
     direction: Floats
 
     @classmethod
-    def of(cls, geometry: StemInBone) -> CutPlane:
+    def of(cls, geometry: Hip) -> CutPlane:
         """The cut of a bone.
 
         Raises:
@@ -279,7 +160,7 @@ def _rotation(position: Position) -> Floats:
     return version @ [[cv, 0, sv], [0, 1, 0], [-sv, 0, cv]] @ [[1, 0, 0], [0, cf, sf], [0, -sf, cf]]
 
 
-def position(geometry: StemInBone) -> Position:
+def position(geometry: Hip) -> Position:
     """Position of the stem of a geometry.
 
     Without ``insertion`` the stem is along the shaft's axis, turned to the neck. Without
@@ -302,7 +183,7 @@ def position(geometry: StemInBone) -> Position:
     return Position(geometry.shoulder_depth, *tilts, version, *offsets)
 
 
-def placement_of(geometry: StemInBone) -> Placement:
+def placement_of(geometry: Hip) -> Placement:
     """Cut the neck of a bone and place the stem in it.
 
     Raises:
@@ -327,18 +208,18 @@ def shoulder_level(implant: Implant, placement: Placement, x: Floats) -> Floats:
     return np.asarray(np.maximum(section - local[:, 2], local[:, 0] - medial))
 
 
-def lengthening(geometry: PlacedStem) -> float:
+def lengthening(geometry: Hip) -> float:
     """Change of the leg length by the operation: of the height of the head along the shaft [mm]."""
     return float(stem_head(geometry)[2] - geometry.femur.head[2])
 
 
-def stem_head(geometry: PlacedStem) -> Floats:
+def stem_head(geometry: Hip) -> Floats:
     """Centre of the stem's head in the model's axes (3,) [mm]."""
     implant = geometry.implant
     return geometry.placement.to_model([implant.head_offset, 0.0, implant.head_height])
 
 
-def head_in_words(geometry: PlacedStem) -> str:
+def head_in_words(geometry: Hip) -> str:
     """Offset, leg length and version of the stem's head, with their changes by the operation.
 
     The offset is the distance of the head's centre from the shaft's axis. Version is the azimuth of

@@ -11,7 +11,7 @@ import numpy as np
 from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import GeometryError
 from meshes.data import MeshData, Tags, cell_faces, dot, edge_vectors, match_faces, tangents
-from meshes.shape_functions import GMSH_TETRAHEDRON
+from meshes.shape_functions import GMSH_TETRAHEDRON, node_coordinates
 
 BAD = 0.01  # below: refused
 POOR = 0.1  # below: counted in the notes, and curved cells are straightened
@@ -27,9 +27,8 @@ ROUNDING_OF_MIDDLE_NODES = 1e-9  # of the size, by which middle nodes of straigh
 _AROUND = np.array([way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)])
 _AROUND /= np.sqrt((_AROUND**2).sum(axis=1, keepdims=True))
 
-_SAMPLES = np.vstack(
-    [np.eye(4), np.eye(4)[np.array(GMSH_TETRAHEDRON)].mean(axis=1), np.full((1, 4), 0.25)]
-)
+# Nodes and centre of a curved cell.
+_SAMPLES = np.vstack([node_coordinates(4, GMSH_TETRAHEDRON), np.full((1, 4), 0.25)])
 
 
 class PoorCellsError(GeometryError):

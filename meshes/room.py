@@ -12,6 +12,7 @@ the cortex: its canal is then the one that leaves the least cortex allowed.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -21,10 +22,12 @@ from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
 from meshes import femur_stem
 from meshes.cad_stem import CadStem
-from meshes.geometry import HipKeys
 from meshes.layered_surfaces import LEAST_CORTEX, SIDES_OF_STEM
 from meshes.layers import Sections
 from meshes.placement import LEAST_SHOULDER_DEPTH, CutPlane, Placement, Position
+
+if TYPE_CHECKING:
+    from app.case.hips import Hip
 
 # Distances between nodes of the grid [mm]. The canal is straighter along z.
 GRID_STEP = np.array([1.0, 1.0, 2.0])
@@ -77,7 +80,7 @@ class WidestCanal:
         return np.asarray(DISTANCE_UNIT * room - outside_distance)
 
 
-def widest_canal(geometry: HipKeys) -> WidestCanal:
+def widest_canal(geometry: Hip) -> WidestCanal:
     """The widest possible canal of a geometry.
 
     Raises:
@@ -266,7 +269,7 @@ def fit(canal: WidestCanal, stem: StemSurface, placement: Placement) -> Fit:
     return Fit(float(room[narrowest]), x[narrowest], side)
 
 
-def fit_of(geometry: HipKeys) -> Fit:
+def fit_of(geometry: Hip) -> Fit:
     """The fit of the stem of a geometry.
 
     Raises:

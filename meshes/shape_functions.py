@@ -34,6 +34,14 @@ GMSH_TRIANGLE: Edges = ((0, 1), (1, 2), (2, 0))
 OPPOSITE_TRIANGLE: Edges = ((1, 2), (2, 0), (0, 1))
 GMSH_TETRAHEDRON: Edges = ((0, 1), (1, 2), (0, 2), (0, 3), (2, 3), (1, 3))
 VTK_TETRAHEDRON: Edges = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
+# Iterations of Newton's method in a curved element.
+MOST_NEWTON_ITERATIONS = 12
+
+
+def node_coordinates(vertices: int, edges: Edges) -> Floats:
+    """Barycentric coordinates (v + e, v) of the nodes of an element with v vertices and e edges."""
+    corners = np.eye(vertices)
+    return np.vstack([corners, *(corners[[i, j]].mean(axis=0) for i, j in edges)])
 
 
 def shape_functions(barycentric: Floats, edges: Edges) -> Floats:
@@ -69,3 +77,29 @@ def slopes_of_shape_functions(barycentric: Floats, edges: Edges) -> Floats:
         )
         slopes = np.concatenate([(4 * barycentric[:, :, None] - 1) * identity, middles], axis=1)
     return np.asarray(slopes[:, :, 1:] - slopes[:, :, :1])
+
+
+def coordinates_in_curved(x: Floats, nodes: Floats, start: Floats, edges: Edges) -> Floats:
+    """Barycentric coordinates (n, v) of points (n, v - 1) in curved elements, by Newton's method.
+
+    A point outside of its element may have no solution: its iterates stay near the element.
+
+    Args:
+        x: The points, one for each element.
+        nodes: Nodes of the elements (n, v + e, v - 1).
+        start: Barycentric coordinates at which the iterations begin (n, v).
+        edges: The e edges in the order of their middle nodes.
+    """
+    barycentric = start
+    for _ in range(MOST_NEWTON_ITERATIONS if len(x) else 0):
+        residual = x - np.einsum("na,nai->ni", shape_functions(barycentric, edges), nodes)
+        slopes = slopes_of_shape_functions(barycentric, edges)
+        jacobian = np.einsum("naj,nai->nij", slopes, nodes)
+        is_regular = np.abs(np.linalg.det(jacobian)) > 0
+        step = np.zeros_like(residual)
+        step[is_regular] = np.linalg.solve(jacobian[is_regular], residual[is_regular, :, None])[
+            :, :, 0
+        ]
+        barycentric = barycentric + np.column_stack([-step.sum(axis=1), step])
+        barycentric = np.clip(barycentric, -1.0, 2.0)
+    return barycentric

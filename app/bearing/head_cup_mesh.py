@@ -9,17 +9,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from app.foundation.arrays import Floats, Ints
-from meshes.data import MeshData, MeshKeys, exterior_facets, mesh_data_of, number
+from meshes.data import MeshData, exterior_facets, mesh_data_of, number
 from meshes.gmsh_session import grade, session, tetrahedra
 
 if TYPE_CHECKING:
     from app.bearing.head_cup import HeadCup
+    from app.case.shapes import MeshOptions
 
 # Nodes, cells, and the layer of each cell.
 Body = tuple[Floats, Ints, Ints]
 
 
-def build(geometry: HeadCup, mesh: MeshKeys) -> MeshData:
+def build(geometry: HeadCup, mesh: MeshOptions) -> MeshData:
     """Mesh a head with its bore, and a liner, within a shell if it has a thickness.
 
     Args:
@@ -51,7 +52,7 @@ def build(geometry: HeadCup, mesh: MeshKeys) -> MeshData:
     return mesh_data_of(points, cells, tags, regions, geometry.interface_sides, masks, facets)
 
 
-def _head(geometry: HeadCup, mesh: MeshKeys) -> Body:
+def _head(geometry: HeadCup, mesh: MeshOptions) -> Body:
     """A ball about the origin with a conical bore that opens towards -z."""
     head_radius, bore_radius = geometry.head_radius, geometry.bore_diameter / 2
     narrowing, depth = math.tan(geometry.bore_taper), geometry.bore_depth
@@ -71,7 +72,7 @@ def _head(geometry: HeadCup, mesh: MeshKeys) -> Body:
         return _meshed(gmsh, head_radius, geometry.head_size * mesh.size, mesh)
 
 
-def _cup(radii: tuple[float, ...], level: float, mesh: MeshKeys) -> Body:
+def _cup(radii: tuple[float, ...], level: float, mesh: MeshOptions) -> Body:
     """Layers between spheres about the origin, from within, above the plane z = level."""
     with session("head_cup") as gmsh:
         occ = gmsh.model.occ
@@ -87,7 +88,7 @@ def _cup(radii: tuple[float, ...], level: float, mesh: MeshKeys) -> Body:
     return points, cells, len(layers) - np.array(sphere_count)[volume]
 
 
-def _meshed(gmsh: ModuleType, radius: float, size: float, mesh: MeshKeys) -> Body:
+def _meshed(gmsh: ModuleType, radius: float, size: float, mesh: MeshOptions) -> Body:
     gmsh.model.occ.synchronize()
     grade(gmsh, [f"(sqrt(x*x+y*y+z*z)-{radius})"], size, max(size, mesh.far_size_or_default))
     return tetrahedra(gmsh, bool(mesh.curved))

@@ -29,9 +29,7 @@ from app.schema.section import Section, did_you_mean, fail, show
 from app.schema.units import Angle, Dimension, Length, PositiveLength
 from app.system import folders
 from meshes.placement import (
-    InsertionKeys,
     Placement,
-    ResectionKeys,
     head_in_words,
     placement_of,
     shoulder_level,
@@ -40,7 +38,9 @@ from meshes.placement import (
 
 # `best_position` and `room` are imported where they are used: scipy takes 0.15 s.
 if TYPE_CHECKING:
+    from app.case.femurs import FemurResection
     from meshes.bone_layers import LayeredBone
+    from meshes.layered_surfaces import LayeredSurfaces
 
 BONE = ("cortical_bone", "cancellous_bone")
 OF_BONE = dict.fromkeys(BONE, "bone")
@@ -82,15 +82,6 @@ HALF_TIP = 10.0  # mm that a stem's end reaches from its axis, at most
 def point(x: Floats) -> Point3:
     """Numbers of a vector."""
     return float(x[0]), float(x[1]), float(x[2])
-
-
-def _interpolated(position: float, values: tuple[float, ...]) -> float:
-    """Linear interpolation of values at 0, 1, 2, ..., constant beyond."""
-    position = min(max(position, 0.0), len(values) - 1.0)
-    lower_index = min(int(position), len(values) - 2)
-    return values[lower_index] + (position - lower_index) * (
-        values[lower_index + 1] - values[lower_index]
-    )
 
 
 class Resection(Section):
@@ -214,13 +205,11 @@ class Hip(Shape):
     default 0 in cement, and 5 mm without cement."""
 
     if TYPE_CHECKING:
+        stem: Stem | StemFile
+        resection: Resection | FemurResection
 
         @property
-        def resection(self) -> ResectionKeys:
-            """The cut across the neck."""
-
-        @property
-        def insertion(self) -> InsertionKeys | None:
+        def insertion(self) -> Insertion | None:
             """Position of the stem; None: along the shaft's axis."""
 
     @property
@@ -230,12 +219,21 @@ class Hip(Shape):
 
     @property
     def femur(self) -> LayeredBone:
-        """The bone before the operation, as `meshes.placement` describes it."""
+        """The bone before the operation, as `meshes.bone_layers` describes it."""
         raise NotImplementedError
 
     @property
     def implant(self) -> Implant:
         """The stem in its axes."""
+        raise NotImplementedError
+
+    @property
+    def more_room(self) -> tuple[str, str]:
+        """Key of the stem's position, and the advice if the stem does not fit."""
+        raise NotImplementedError
+
+    def surfaces(self, mesh: MeshOptions) -> LayeredSurfaces:
+        """The nested surfaces that are meshed."""
         raise NotImplementedError
 
     @property
@@ -402,8 +400,10 @@ class Hip(Shape):
         core = 3.0 * max(lines_around - 2.0, 0.041 * lines_around**2 + 1.5 * lines_around - 6.0)
         cement = range_of_thickness(self.cement_thickness)[1]
         filled_thickness = cement - self.widening
-        open_ = 1.0 - _interpolated(filled_thickness, FILLED)
-        unfilled_below = 1.0 - _interpolated(filled_thickness, FILLED_BELOW)
+        open_ = 1.0 - float(np.interp(filled_thickness, range(len(FILLED)), FILLED))
+        unfilled_below = 1.0 - float(
+            np.interp(filled_thickness, range(len(FILLED_BELOW)), FILLED_BELOW)
+        )
         widths = (1.0 + 0.7 * cement, CANCELLOUS_WIDTH, CORTICAL_WIDTH - self.widening)
         through, cancellous, cortical = (
             min(cells, max(1.0, width / length))
@@ -487,17 +487,8 @@ class OperatedHip(Hip):
             return {"interfaces": tuple(UNCEMENTED)}
         return {"regions": ("cement",), "interfaces": tuple(CEMENTED)}
 
-    if TYPE_CHECKING:
-        insertion: Insertion | None
-        stem: Stem | StemFile
-
     # Gain of a position that was searched, in words.
     _gain: str = PrivateAttr("")
-
-    @property
-    def more_room(self) -> tuple[str, str]:
-        """Key of the stem's position, and the advice if the stem does not fit."""
-        raise NotImplementedError
 
     @property
     def ways_to_widen_canal(self) -> tuple[str, ...]:

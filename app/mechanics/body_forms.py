@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
-from app.foundation.arrays import Field, Floats
+from app.foundation.arrays import Field, Floats, Ints
 from app.foundation.collective import everywhere
 from app.foundation.dolfinx_features import exterior_facet_entities
 from app.foundation.errors import InputError
@@ -444,6 +444,27 @@ class BodyForms:
 def linear_shape_functions(points: Floats) -> Floats:
     """Linear functions of the vertices at points of the reference simplex (p, vertices)."""
     return np.column_stack([1 - points.sum(axis=1), points])
+
+
+def shape_functions_in_cells(
+    space: fem.FunctionSpace, cells: Ints, reference: Floats
+) -> tuple[Floats, Floats]:
+    """Shape functions (n, k) and their gradients (n, 3, k) [1/mm] at one point in each cell.
+
+    Args:
+        space: Space of the displacement, with k nodes in a cell.
+        cells: Cells of the points (n,).
+        reference: Coordinates of the points in the reference cell (n, 3).
+    """
+    of_x, of_u = (
+        # Basix tabulates at one point at least, and a rank may have none.
+        element.sub_elements[0].tabulate(1, np.vstack([reference, np.zeros(3)]))[:, :-1]
+        for element in (space.mesh.ufl_domain().ufl_coordinate_element(), space.ufl_element())
+    )
+    geometry = space.mesh.geometry
+    x = geometry.x[geometry.dofmap[cells]].astype(np.float64)
+    jacobian = np.einsum("jnk,nki->nji", of_x[1:], x)
+    return of_u[0], np.linalg.solve(jacobian, of_u[1:].transpose(1, 0, 2))
 
 
 def assemble_form_vector(form: fem.Form) -> PETSc.Vec:

@@ -10,18 +10,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import GeometryError
-from app.foundation.implant import Implant
 from app.patient import bone_surface, ct_canal, label_surface, landmarks, shaft
 from app.patient.bone_surface import BoneSurface
 from app.patient.landmarks import Frame
-from app.patient.measured_layers import MeasuredLayers, Reaming
+from app.patient.measured_layers import MeasuredLayers
 from app.patient.shaft import CanalByRatios, Continuation
 from meshes import femur_bone
 from meshes.bone_layers import StemShape
@@ -29,6 +28,9 @@ from meshes.femur_bone import HEAD_HEIGHT
 from meshes.layers import Sections
 from meshes.placement import Placement
 from meshes.plane_sections import exits, mean_width
+
+if TYPE_CHECKING:
+    from app.patient.geometry import Bone, Canal, Patient
 
 # Of the parametric femur [mm].
 TROCHANTER_REACH = 31.5  # from the axis to the greater trochanter
@@ -38,58 +40,6 @@ CONTINUED_TO = -260.0  # level down to which a shaft is continued, as that of th
 TROCHANTER_ENDS = 0.75  # radii of the head below the apex where the lesser trochanter ends
 CUT_DISTANCE = 6.0  # mm from the bone's end within which a canal ends with the scan
 BELOW_CUT = 8.0  # mm that the middle of a muscle's patch is below the cut, at least
-
-
-class SurfaceKeys(Protocol):
-    """Keys of a surface: its file, a label in it if that is an image, its unit."""
-
-    @property
-    def path(self) -> Path | None:
-        """File with the surface."""
-
-    @property
-    def label(self) -> int | None:
-        """Number of its voxels, in an image."""
-
-    @property
-    def unit(self) -> str | None:
-        """Unit of the file, if it is given."""
-
-
-class BoneKeys(SurfaceKeys, Protocol):
-    """Keys of a bone."""
-
-    @property
-    def extend(self) -> bool:
-        """True if its shaft is continued below the end of a scan."""
-
-
-class CanalKeys(SurfaceKeys, Reaming, Protocol):
-    """Keys of a canal."""
-
-    @property
-    def ct(self) -> Path | None:
-        """CT by whose numbers it is known, in place of a file."""
-
-    @property
-    def threshold(self) -> float:
-        """CT number at its surface."""
-
-    @property
-    def isthmus(self) -> float | None:
-        """Its least mean width where no file shows it [mm], if it is given."""
-
-
-class OperatedBone(Protocol):
-    """A geometry with a canal that is reamed for a stem."""
-
-    @property
-    def canal(self) -> CanalKeys:
-        """Keys of the canal."""
-
-    @property
-    def implant(self) -> Implant:
-        """The stem with its plug."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +134,7 @@ class PatientBone:
         return float(self.head[2]) / HEAD_HEIGHT
 
     def layers(
-        self, geometry: OperatedBone, sections: Sections, stem: StemShape | None
+        self, geometry: Patient, sections: Sections, stem: StemShape | None
     ) -> MeasuredLayers:
         """Periosteum and endosteum in the sections of a mesh, the canal reamed.
 
@@ -271,7 +221,7 @@ def _surface(
     return frame, frame.surface(surface)
 
 
-def read(bone: BoneKeys, canal: CanalKeys, contents: tuple[str, str], known: Known) -> PatientBone:
+def read(bone: Bone, canal: Canal, contents: tuple[str, str], known: Known) -> PatientBone:
     """Read a bone and its canal, and find its landmarks.
 
     Args:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -108,7 +107,7 @@ class LabelImage:
 
 
 def read(path: Path) -> LabelImage:
-    """Read the labels of a segmentation, once unless its files change.
+    """Read the labels of a segmentation.
 
     Segments in several layers have the numbers that the file gives them. If these repeat, they are
     numbered in their order.
@@ -116,11 +115,6 @@ def read(path: Path) -> LabelImage:
     Raises:
         InputError: The image cannot be read, is a CT, or has values between whole numbers.
     """
-    return _read(path, images.modification_time(path))
-
-
-@lru_cache(maxsize=2)
-def _read(path: Path, _changed: int) -> LabelImage:
     image = images.read_layers(path)
     if image.segments is None:
         _check_labels(path, image.values)

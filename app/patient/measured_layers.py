@@ -7,7 +7,7 @@ canal. The canal is then reamed. `meshes.bone_layers` describes the sections.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
@@ -22,6 +22,9 @@ from meshes.femur_bone import CONE_END, CORTEX_LEFT, FemurBone
 from meshes.layers import CORE_OVER, Sections
 from meshes.placement import Placement
 from meshes.plane_sections import centroid, exits, lines_at_height
+
+if TYPE_CHECKING:
+    from app.patient.geometry import Canal
 
 SECTION_STEP = 2.0  # mm between sections
 ANGLES = 96  # rays around
@@ -65,18 +68,6 @@ class Radii:
         return np.asarray(self._spline.ev(zeta, np.mod(theta, 2 * np.pi)))
 
 
-class Reaming(Protocol):
-    """Keys that say how a canal is reamed."""
-
-    @property
-    def ream(self) -> Literal["none", "by", "broach"]:
-        """Method of reaming."""
-
-    @property
-    def ream_by(self) -> float:
-        """Distance of reaming with `by` [mm]."""
-
-
 class MeasuredLayers:
     """Bone that is known by triangles: radii by rays in the sections."""
 
@@ -86,7 +77,7 @@ class MeasuredLayers:
         canal: BoneSurface | None,
         canal_scale: float,
         size: float,
-        reaming: Reaming,
+        reaming: Canal,
         implant: Implant,
         sections: Sections,
         stem: StemShape | None,
@@ -263,7 +254,7 @@ class MeasuredLayers:
             zeta = x[:, 2] + self._sections.slope(zeta) * rise
         return float(zeta.min() if is_flat.any() else zeta.max()) - SECTION_STEP
 
-    def _reamed_radii(self, reaming: Reaming, canal: Floats, stem: StemShape | None) -> Floats:
+    def _reamed_radii(self, reaming: Canal, canal: Floats, stem: StemShape | None) -> Floats:
         """Radii of the endosteum after reaming [mm].
 
         Notes report the removed and the remaining bone.

@@ -24,7 +24,7 @@ from app.results.bond_forces import BondForces
 from app.results.interface_numbers import ContactSamples
 from app.results.necrosis import CELSIUS
 from app.results.records import NodalSurface, Record
-from app.results.stresses import Stresses, extrapolated
+from app.results.stresses import Stresses, extrapolated, mises_and_principal
 from app.results.thermal_record import W_PER_M2, Interfaces, ThermalRecord
 from app.results.vtkhdf import QUADRATIC_NODES, Grid, GridFile, write_last_step
 from app.scene.bodies import Bodies, cell_tags
@@ -379,11 +379,10 @@ def named_stress(σ: Floats) -> dict[str, Floats]:
     tensor = np.empty((len(σ), 3, 3))
     for k, (i, j) in enumerate(VTK_COMPONENTS):
         tensor[:, i, j] = tensor[:, j, i] = σ[:, k]
-    principal: Floats = np.linalg.eigvalsh(tensor).astype(np.float64)
-    differences = principal - np.roll(principal, 1, axis=1)
+    mises, principal = mises_and_principal(tensor)
     return {
         "stress": σ,
-        "von_mises": np.sqrt((differences**2).sum(axis=1) / 2),
+        "von_mises": mises,
         "principal_max": principal[:, 2],
         "principal_min": principal[:, 0],
     }

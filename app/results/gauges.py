@@ -20,6 +20,7 @@ from app.case.summary import Numbers
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import InputError
 from app.heat.nodes import Probes
+from app.mechanics.body_forms import shape_functions_in_cells
 from app.mechanics.problem import Problem
 from app.scene import bodies
 from meshes.gauge_points import GaugeFault, GaugePoints, gauge_points
@@ -148,30 +149,20 @@ def _gauge(problem: Problem, surface: _Surface, name: str, gauge: StrainGauge) -
 
 def _on_this_rank(problem: Problem, surface: _Surface, points: GaugePoints) -> _Gauge:
     """Weights of nodal values at the points of a gauge in cells of this rank."""
-    mesh, space = problem.tagged.mesh, problem.space
-    corners = CORNERS[bodies.FACET_NODES[surface.local[points.facet], :3]]
-    reference = np.einsum("nk,nkc->nc", points.barycentric, corners)
-    # On every rank at all points: a rank without points has nothing to tabulate.
     local_points = np.flatnonzero(surface.rank[points.facet] == problem.comm.rank)
-    of_x, of_u = (
-        element.sub_elements[0].tabulate(1, reference)[:, local_points]
-        for element in (mesh.ufl_domain().ufl_coordinate_element(), space.ufl_element())
-    )
-    cell = surface.cell[points.facet[local_points]]
-    x = mesh.geometry.x[mesh.geometry.dofmap[cell]].astype(np.float64)
-    # Derivatives in the reference cell, then along the grid.
-    jacobian = np.einsum("jnk,nki->nij", of_x[1:], x)
-    along_grid = np.linalg.solve(
-        jacobian, np.tile(points.direction[:, None], (len(local_points), 1, 1))
-    )
+    facet = points.facet[local_points]
+    corners = CORNERS[bodies.FACET_NODES[surface.local[facet], :3]]
+    reference = np.einsum("nk,nkc->nc", points.barycentric[local_points], corners)
+    cell = surface.cell[facet]
+    values, gradients = shape_functions_in_cells(problem.space, cell, reference)
     weight = points.weight[local_points, None]
     return _Gauge(
         centre=points.centre,
         direction=points.direction,
         body=problem.bodies.body_of_tag[bodies.cell_tags(problem.tagged)[cell]],
-        nodes=space.dofmap.list[cell].astype(np.int64),
-        mean=weight * of_u[0],
-        slope=weight * np.einsum("jnk,nj->nk", of_u[1:], along_grid[:, :, 0]),
+        nodes=problem.space.dofmap.list[cell].astype(np.int64),
+        mean=weight * values,
+        slope=weight * (points.direction @ gradients),
     )
 
 

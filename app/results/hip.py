@@ -16,6 +16,7 @@ from app.case.hips import ON_CUT
 from app.case.quantities import GAUGES
 from app.case.summary import Numbers, Zone
 from app.foundation.arrays import Floats, Ints
+from app.mechanics.body_forms import shape_functions_in_cells
 from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
 from app.results.interface_numbers import ContactSamples
@@ -234,22 +235,11 @@ def of_femur(problem: Problem, case: Case) -> Numbers:
 
 def _axial_strain(problem: Problem, facets: bodies.FacetCells) -> Floats:
     """Return the strain along z at the centres of facets, in their cells of bone (f,) [-]."""
-    mesh, space = problem.tagged.mesh, problem.space
     centres = np.vstack([np.zeros(3), np.eye(3)])[bodies.FACET_NODES[:, :3]].mean(axis=1)
-
-    def slopes(shape_functions: Floats, values: Floats) -> Floats:
-        """Return derivatives (f, 3, 3) in the reference cell of nodal values (f, n, 3)."""
-        return np.einsum("jfn,fni->fij", shape_functions[1:, facets.local], values)
-
+    _, gradients = shape_functions_in_cells(problem.space, facets.cells, centres[facets.local])
     u = nodal_displacements(problem)[problem.bodies.body_of_region["cortical_bone"]]
-    x = mesh.geometry.x[mesh.geometry.dofmap[facets.cells]].astype(np.float64)
-    of_x, of_u = (
-        element.sub_elements[0].tabulate(1, centres)
-        for element in (mesh.ufl_domain().ufl_coordinate_element(), space.ufl_element())
-    )
-    J = slopes(of_x, x)
-    du = slopes(of_u, u[space.dofmap.list[facets.cells]])
-    return np.asarray((du @ np.linalg.inv(J))[:, 2, 2])
+    nodal = u[problem.space.dofmap.list[facets.cells]]
+    return np.einsum("fk,fk->f", gradients[:, 2], nodal[:, :, 2])
 
 
 # Collar

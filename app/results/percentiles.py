@@ -15,10 +15,7 @@ def percentile(values: Floats, weights: Floats) -> float:
     """Smallest value that at least `PERCENTILE` of the weight does not exceed; 0 if empty."""
     if not len(values):
         return 0.0
-    order = np.argsort(values)
-    cumulative = np.cumsum(weights[order])
-    k = np.searchsorted(cumulative, PERCENTILE * cumulative[-1])
-    return float(values[order[min(int(k), len(values) - 1)]])
+    return float(np.quantile(values, PERCENTILE, weights=weights, method="inverted_cdf"))
 
 
 class SurfaceField:

@@ -201,9 +201,8 @@ class Stresses:
         σ = self.evaluate(region).reshape(-1, 3, 3)
         x, volumes = self.points_and_volumes(region)
         mean = np.trace(σ, axis1=1, axis2=2) / 3
-        eigen = np.linalg.eigvalsh(σ)
-        mises = np.sqrt(((eigen - np.roll(eigen, 1, axis=1)) ** 2).sum(axis=1) / 2)
-        local = np.stack([mises, _hoop(σ, x), *eigen[:, [2, 0]].T, mean, volumes.ravel()])
+        mises, principal = mises_and_principal(σ)
+        local = np.stack([mises, _hoop(σ, x), *principal[:, [2, 0]].T, mean, volumes.ravel()])
         values = self.gather(local)
         extra_numbers: Numbers = computed("regions", self, region)
         if region == "stem" and self._depth:
@@ -244,6 +243,13 @@ class Stresses:
         if self._around_z:
             numbers["hoop_p99"] = percentile(hoop, volume)
         return numbers
+
+
+def mises_and_principal(σ: Floats) -> tuple[Floats, Floats]:
+    """Von Mises stress (n,) and principal stresses (n, 3), rising, of stresses (n, 3, 3)."""
+    principal: Floats = np.linalg.eigvalsh(σ).astype(np.float64)
+    differences = principal - np.roll(principal, 1, axis=1)
+    return np.sqrt((differences**2).sum(axis=1) / 2), principal
 
 
 def _moduli(e: Elastic) -> Floats:

@@ -1,6 +1,6 @@
 """Bodies on a mesh, before solving: pieces that move together, and bodies that nothing holds.
 
-`well_posedness.check_on_mesh` refuses a case with `errors_of_floating_bodies`. The pieces of the
+`well_posedness.check_on_mesh` refuses a case with `verdicts_on_held_bodies`. The pieces of the
 mesh are joined to bodies.
 Each support removes the directions that it holds from the rigid motions of its body. A motion that
 is left, and that contact with no other body resists, is free.
@@ -101,14 +101,10 @@ def gaps_of(case: Case, parts: MeshPieces) -> dict[str, Floats]:
     }
 
 
-def errors_of_floating_bodies(case: Case, parts: MeshPieces) -> list[Verdict]:
-    """Errors on bodies that nothing holds."""
-    return BodiesOnMesh(case, parts).errors_of_floating()
-
-
-def notes_on_loosely_held_bodies(case: Case, parts: MeshPieces) -> list[Verdict]:
-    """Notes on bodies that contact barely holds."""
-    return BodiesOnMesh(case, parts).notes_on_loosely_held()
+def verdicts_on_held_bodies(case: Case, parts: MeshPieces) -> list[Verdict]:
+    """Errors on bodies that nothing holds; if there are none, notes on those barely held."""
+    bodies = BodiesOnMesh(case, parts)
+    return bodies.errors_of_floating() or bodies.notes_on_loosely_held()
 
 
 class BodiesOnMesh:

@@ -27,13 +27,12 @@ from app.scene.scene import build_scene
 from app.soundness import paths_on_mesh
 from app.soundness.bodies_on_mesh import (
     directions,
-    errors_of_floating_bodies,
     gaps_of,
     holds,
     law_between,
     load_history_of,
-    notes_on_loosely_held_bodies,
     pieces_of_bodies,
+    verdicts_on_held_bodies,
 )
 from app.soundness.result_notes import STRAIN, smallest_modulus
 from meshes import location
@@ -587,12 +586,11 @@ MECHANICS_CHECKS: tuple[tuple[Check, ...], ...] = (
     (
         _rotations_not_given,
         _motions_with_supports_or_loads,
-        errors_of_floating_bodies,
+        verdicts_on_held_bodies,
         _contradictory_supports,
         _large_gaps,
     ),
     (
-        notes_on_loosely_held_bodies,
         _clamped_interfaces,
         _dependent_jumps,
         _large_displacements,

@@ -42,3 +42,21 @@ def test_shape_functions_have_slopes_of_differences(vertices: int, edges: sf.Edg
 def test_shape_functions_of_facets_have_nodes_opposite_vertices() -> None:
     assert facet_shape_functions(NODES, 6) == pytest.approx(np.eye(6))
     assert facet_shape_functions(NODES, 3) is NODES
+
+
+@pytest.mark.parametrize("edges", [sf.GMSH_TRIANGLE, sf.GMSH_TETRAHEDRON])
+def test_shape_functions_coordinates_in_curved_elements_give_back_the_points(
+    edges: sf.Edges,
+) -> None:
+    """Elements whose middle nodes are moved by up to a twentieth of an edge."""
+    rng = np.random.default_rng(5)
+    vertices = max(max(edge) for edge in edges) + 1
+    reference = np.vstack([np.zeros(vertices - 1), np.eye(vertices - 1)])
+    middles = np.stack([reference[[i, j]].mean(axis=0) for i, j in edges])
+    nodes = np.tile(np.vstack([reference, middles]), (20, 1, 1))
+    nodes[:, vertices:] += rng.uniform(-0.05, 0.05, (20, len(edges), vertices - 1))
+    barycentric = rng.dirichlet(np.ones(vertices), 20)
+    x = np.einsum("na,nai->ni", sf.shape_functions(barycentric, edges), nodes)
+    start = np.full((20, vertices), 1 / vertices)
+    found = sf.coordinates_in_curved(x, nodes, start, edges)
+    assert found == pytest.approx(barycentric, abs=1e-12)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -35,12 +36,20 @@ def module(path: Path) -> str:
 MODULES = {module(path): path for path in [ROOT / "mantle.py", *sources(*FOLDERS)]}
 
 
+def run_time_nodes(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield a node and all below it that a program runs, without imports for type checkers."""
+    yield node
+    is_for_types = isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+    for part in node.orelse if is_for_types else ast.iter_child_nodes(node):
+        yield from run_time_nodes(part)
+
+
 @cache
 def imported(path: Path) -> frozenset[str]:
-    """Return all modules that a file imports, also inside functions and for type checkers alone."""
+    """Return all modules that a file imports when it runs, also inside functions."""
     this = module(path)
     names_of_modules = set()
-    for node in ast.walk(tree(path)):
+    for node in run_time_nodes(tree(path)):
         if isinstance(node, ast.Import):
             names_of_modules |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
