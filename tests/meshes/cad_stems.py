@@ -27,7 +27,8 @@ STEMS: dict[str, dict[str, Any]] = {
     # As the stem of the parametric femur, with a neck about the same axis.
     "parametric": {
         "sections": [(3.0, 3.0, 2.1, 0.0, 0.0), (9.0789, 5.2105, 3.0947, 0.0, 147.0)],
-        "neck": (135.919, 130.0, 6.5, 6.0, 56.133),
+        # It leaves the body above the neck cut. Below, it would rest on the cement like a collar.
+        "neck": (135.919, 130.0, 4.6, 6.0, 56.133),
     },
     "charnley": {"sections": CHARNLEY, "neck": (128.0, 130.0, 5.4, 5.8, 52.0), "fillet": 1.0},
     "anatomic": {"sections": ANATOMIC, "neck": (131.0, 133.0, 5.0, 6.0, 56.0), "smooth": True},
