@@ -21,7 +21,7 @@ from app.case.points import Changes, Point, Range
 from app.foundation.arrays import Floats
 from app.schema import yaml_file
 from app.schema.section import MAPPING, Section, Text, fail, show
-from app.schema.units import NUMBER, PositiveNumber
+from app.schema.units import PositiveNumber, number_and_unit
 from app.schema.yaml_file import CaseFile, Fault
 
 # Paths of the parts of a fit file.
@@ -42,11 +42,11 @@ class FitKey(Range):
     def _start_within(self) -> FitKey:
         if self.start is None:
             return self
-        match = NUMBER.fullmatch(str(self.start))
-        if match is None or match[2] != self.unit:
+        parts = number_and_unit(self.start)
+        if parts is None or parts[1] != self.unit:
             unit = f"the unit {self.unit}" if self.unit else "no unit"
             fail(f"{show(self.start)} is not a number with {unit} of the bounds", at=("start",))
-        if not self.number(0.0) <= float(match[1]) <= self.number(1.0):
+        if not self.number(0.0) <= parts[0] <= self.number(1.0):
             message = f"{show(self.start)} is not within the bounds, {self.low} to {self.high}"
             fail(message, at=("start",))
         return self
@@ -54,14 +54,8 @@ class FitKey(Range):
     @property
     def start_fraction(self) -> float:
         """First value as a fraction of the range."""
-        if self.start is None:
-            return 0.5
-        match = NUMBER.fullmatch(str(self.start))
-        assert match is not None  # `_start_within`
-        lower_bound, upper_bound, start = self.number(0.0), self.number(1.0), float(match[1])
-        if self.scale == "logarithmic":
-            return math.log(start / lower_bound) / math.log(upper_bound / lower_bound)
-        return (start - lower_bound) / (upper_bound - lower_bound)
+        parts = number_and_unit(self.start)
+        return self.fraction(parts[0]) if parts else 0.5
 
 
 class Target(Section):

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from app.campaigns import fit_results
 from app.campaigns.fit_results import FitRecord, FitRow
 from app.case import quantities
-from app.case.points import short_keys
+from app.case.points import Range, short_keys
 from app.foundation.errors import InputError, StoppedError
 from app.foundation.layout import duration, several, two_digits
 from app.foundation.verdict import Severity, recorded, texts_of
@@ -223,9 +223,7 @@ def _value(record: FitRecord, run: FitRow, name: str) -> float | None:
 def _of_share(record: FitRecord, key: str, fraction: float) -> float:
     """Value of a key at a fraction of its range, as drawn."""
     row = record["keys"][key]
-    if row["scale"] == "logarithmic":
-        return float(row["low"] * (row["high"] / row["low"]) ** fraction)
-    return row["low"] + fraction * (row["high"] - row["low"])
+    return Range(low=row["low"], high=row["high"], scale=row["scale"]).number(fraction)
 
 
 def _title(record: FitRecord, name: str) -> str:

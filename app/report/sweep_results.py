@@ -19,7 +19,7 @@ from app.foundation.layout import two_digits
 from app.plots.curves import ROUNDED
 from app.results.reading import PathTable, Results
 from app.results.verdicts import UNUSABLE
-from app.schema.units import NUMBER
+from app.schema.units import number_and_unit
 from app.system.folders import read_json
 
 INTERFACES = ("cement_bone", "stem_cement", "stem_bone")
@@ -233,12 +233,8 @@ def named(name: str) -> str:
 
 def magnitude(value: object) -> float | None:
     """Number of a value with or without a unit (``4.0 mm``); None if it has none."""
-    if isinstance(value, bool) or value is None:
-        return None
-    if isinstance(value, int | float):
-        return float(value)
-    match = NUMBER.fullmatch(value) if isinstance(value, str) else None
-    return float(match[1]) if match else None
+    parts = number_and_unit(value)
+    return parts[0] if parts else None
 
 
 def headlines(cases: Sequence[SweptCase]) -> list[str]:
