@@ -22,11 +22,11 @@ import matplotlib as mpl
 
 import meshes
 from app.case import quantities
-from app.case.case import load_case
+from app.case.case import Case, load_case
 from app.case.quantities import TABLE, Quantity, in_print, printed
 from app.case.summary import Numbers, Summary, name_of_implant
 from app.foundation.collective import distribute_tasks, on_root
-from app.foundation.errors import InputError, MantleError, StoppedError
+from app.foundation.errors import InputError, StoppedError
 from app.foundation.layout import noted, plain_text
 from app.foundation.verdict import Severity, recorded
 from app.plots import curves, figures
@@ -172,6 +172,13 @@ def _run(
 ) -> list[Path]:
     """Write the page of a run with the pictures that its share of time allows."""
     case = opened(folder)
+    config, reason = _read_config(folder)
+
+    def view() -> tuple[str, list[str]]:
+        try:
+            return viewer.viewer({"": folder}), []
+        except Exception as error:  # with unreadable fields there is still a page
+            return "", [f"note: no view in three dimensions: {type(error).__name__}: {error}"]
 
     def time() -> float:
         summary = UNFINISHED | _json(folder / "summary.json")
@@ -181,19 +188,21 @@ def _run(
     has_viewer = is_alone or time_allowed >= VIEW
     # The view is first, so that it goes to rank 0: this rank also writes the page.
     tasks: list[Callable[[], Any]] = [
-        lambda: _view(folder) if has_viewer else ("", []),
-        lambda: _model(folder) if has_viewer else [],
+        lambda: view() if has_viewer else ("", []),
+        lambda: _model(folder, config, reason) if has_viewer else [],
         lambda: _pictures(case, time_allowed),
     ]
     page_parts = distribute_tasks(comm, tasks)
     if comm.rank:
         return []
-    (view, no_view), model, (sides, maps, files) = page_parts
+    (view_html, no_view), model, (sides, maps, files) = page_parts
     summary = UNFINISHED | _json(folder / "summary.json")
     record = _json(folder / "provenance.json")
     input_spread = input_spread_of_run(spread, case) if spread else None
-    panels = _forces(case)
-    panels += step_curves.over_time(case.step_record, at_rest=_starts_at_rest(case))
+    panels = step_curves.forces(config, case.step_record) if config else []
+    loads = case.data.get("loads", {}).values()
+    is_grown_from_zero = bool(case.data) and not any(load.get("cycle_table") for load in loads)
+    panels += step_curves.over_time(case.step_record, at_rest=is_grown_from_zero)
     if share == math.inf and panels:
         (folder / PICTURES).mkdir(exist_ok=True)
         files = curves.draw(folder / PICTURES / "curves.png", panels, 3) + files
@@ -218,8 +227,8 @@ def _run(
         facts=_facts(folder, record),
         lead=" ".join(filter(None, sentences)),
         large=lead.large_numbers(summary) if solved else [],
-        view=view,
-        note=_mirrored(case),
+        view=view_html,
+        note=_mirrored(config) if config else "",
     )
     write_text(folder / PAGE, html)
     return [folder / PAGE, *files]
@@ -253,12 +262,12 @@ def _record_sections(case: SweptCase, summary: Summary, record: Json) -> list[Pa
     ]
 
 
-def _forces(case: SweptCase) -> list[curves.Panel]:
-    """Return the panel of the forces; none if the files that the case names are gone."""
+def _read_config(folder: Path) -> tuple[Case | None, str]:
+    """Return the configuration, or None and the reason: files that it names may be gone."""
     try:
-        return step_curves.forces(load_case(case.folder / "case.yaml").config, case.step_record)
-    except InputError:
-        return []
+        return load_case(folder / "case.yaml").config, ""
+    except Exception as error:  # there is still a page
+        return None, f"{type(error).__name__}: {error}"
 
 
 def _path_files(case: SweptCase) -> list[Path]:
@@ -272,37 +281,33 @@ def _path_files(case: SweptCase) -> list[Path]:
     return files
 
 
-def _starts_at_rest(case: SweptCase) -> bool:
-    """Return True if all loads grow from zero, so that none follows a time course."""
-    loads = case.data.get("loads", {}).values()
-    return bool(case.data) and not any(load.get("cycle_table") for load in loads)
+def _model(folder: Path, config: Case | None, reason: str) -> list[Block]:
+    """Return the picture of the case, or the reason why there is none, and its landmarks.
 
-
-def _model(folder: Path) -> list[Block]:
-    """Return the picture of the case, or the reason why there is none, and its landmarks."""
+    Args:
+        folder: The run directory.
+        config: The case.
+        reason: The reason if the case cannot be read.
+    """
     caption = (
         "Pale: the outside. Black lines: outlines of the bodies in the section. The length of an "
         "arrow is proportional to the square root of the force."
     )
     figure = Figure(CASE_PICTURE, "", caption, "The case in two views", halves=True)
     try:
-        if not (folder / CASE_PICTURE).exists():
-            case = load_case(folder / "case.yaml").config
-            data = meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
-            case_picture.draw(case, data, folder / CASE_PICTURE)
+        if config and not (folder / CASE_PICTURE).exists():
+            data = meshes.build(config.geometry, config.mesh, folders.cache("meshes"))
+            case_picture.draw(config, data, folder / CASE_PICTURE)
         picture = page.figures([figure], folder)
     except Exception as error:  # without the mesh there is still a page
-        picture = bullets([f"note: no picture of the case: {type(error).__name__}: {error}"])
-    return picture + _landmarks(folder)
+        reason = reason or f"{type(error).__name__}: {error}"
+        picture = bullets([f"note: no picture of the case: {reason}"])
+    return picture + (_landmarks(config) if config else [])
 
 
-def _landmarks(folder: Path) -> list[Block]:
-    """Return landmarks and the position of the stem; nothing without the files of the case."""
-    try:
-        geometry = load_case(folder / "case.yaml").config.geometry
-    except MantleError:
-        return []
-    details = geometry.details | geometry.placement_details
+def _landmarks(config: Case) -> list[Block]:
+    """Return landmarks and the position of the stem."""
+    details = config.geometry.details | config.geometry.placement_details
     return bullets([f"{name}: {plain_text(detail)}" for name, detail in details.items()])
 
 
@@ -333,26 +338,14 @@ def _pictures(case: SweptCase, time_allowed: float) -> tuple[list[Block], list[B
     return from_sides, on_maps + bullets(reasons), files if is_unlimited else []
 
 
-def _mirrored(case: SweptCase) -> str:
+def _mirrored(config: Case) -> str:
     """Return a sentence on the pictures of a right femur; empty for others."""
-    try:
-        is_mirrored = load_case(case.folder / "case.yaml").config.geometry.is_mirrored
-    except InputError:
-        return ""
-    if not is_mirrored:
+    if not config.geometry.is_mirrored:
         return ""
     return (
         "This is a right femur. The model and all pictures are mirrored, so that it looks like a"
         " left one. Medial, lateral, anterior and posterior are those of the patient."
     )
-
-
-def _view(folder: Path) -> tuple[str, list[str]]:
-    """Return the view in three dimensions, and the reason if there is none."""
-    try:
-        return viewer.viewer({"": folder}), []
-    except Exception as error:  # with unreadable fields there is still a page
-        return "", [f"note: no view in three dimensions: {type(error).__name__}: {error}"]
 
 
 def _facts(folder: Path, record: Json) -> str:
