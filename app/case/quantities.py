@@ -809,6 +809,17 @@ def numbers_of(
             yield from ((section, f"{name}_{zone}", part) for zone, part in zones.items())
 
 
+def headlines(summary: Mapping[str, Any]) -> Iterator[tuple[str, Quantity, Any, float | None]]:
+    """Full name, quantity, value and error of each main number of a summary, by `Quantity`.
+
+    The error is None if it was not estimated.
+    """
+    for section, owner, numbers in numbers_of(summary):
+        for key, q in TABLE[section].items():
+            if q.headline and key in numbers:
+                yield f"{owner}.{key}", q, numbers[key], numbers.get(f"{key}_error")
+
+
 def maximum_with_parts(numbers: Numbers, key: str) -> float:
     """A maximum of an interface or a region with its parts; 0 if it is missing."""
     return max(part.get(key, 0.0) for part in (numbers, *(numbers.get(p, {}) for p in PARTS)))

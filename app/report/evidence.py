@@ -579,10 +579,11 @@ def _sensitivities(basis: Evidence) -> Finding:
     if not basis.spread:
         return Finding("a", ("no sweep was given",), SWEEP)
     sentences = [_samples(basis.spread)]
-    for name, q in _headlines(basis.summary):
-        values = basis.spread.range_of(f"{name}.{q.key}")
+    for name, q, _, _ in quantities.headlines(basis.summary):
+        values = basis.spread.range_of(name)
         if values and values[2]:
-            sentences.append(f"{name}: {q.label} follows most {values[2]}")
+            owner = name.partition(".")[0]
+            sentences.append(f"{owner}: {q.label} follows most {values[2]}")
     return Finding("b", sentences, "the same for every input of the case")
 
 
@@ -605,24 +606,17 @@ def _samples(spread: InputSpread) -> str:
     )
 
 
-def _headlines(summary: Summary) -> Iterator[tuple[str, quantities.Quantity]]:
-    """Main numbers of a run with the names of their interfaces or regions."""
-    for section, name, numbers in quantities.numbers_of(summary):
-        for q in TABLE[section].values():
-            if q.headline and q.key in numbers:
-                yield name, q
-
-
 def _bands(summary: Summary, spread: InputSpread) -> Iterator[str]:
     """Ranges of the main numbers over uncertain inputs."""
-    for name, q in _headlines(summary):
-        values = spread.range_of(f"{name}.{q.key}")
+    for name, q, _, _ in quantities.headlines(summary):
+        values = spread.range_of(name)
         if values:
             lowest, highest, _ = values
             range_text = (
                 f"{lowest:.{q.digits}f} to {highest:.{q.digits}f} {quantities.printed(q.shown)}"
             )
-            yield f"{name}: {q.label} {range_text} (5 to 95 % over the inputs)"
+            owner = name.partition(".")[0]
+            yield f"{owner}: {q.label} {range_text} (5 to 95 % over the inputs)"
 
 
 def _parts(case: Case) -> Mapping[str, Material | AnyLoad]:

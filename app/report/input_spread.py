@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.campaigns import uncertainty
-from app.case.quantities import TABLE, Quantity, label_with_unit, numbers_of
+from app.case.quantities import Quantity, headlines, label_with_unit
 from app.case.summary import Numbers
 from app.foundation.errors import InputError
 from app.foundation.layout import plain_text, two_digits
@@ -76,14 +76,13 @@ class InputSpread:
     def sentence(self, run: SweptCase) -> str:
         """Compare mesh and inputs as sources of uncertainty of the main numbers, in sentences."""
         ratios, causes = list[float](), Counter[str]()
-        for section, owner, _ in numbers_of(run.summary):
-            for key, q in TABLE[section].items():
-                spread = self.range_of(f"{owner}.{key}") if q.headline and q.order else None
-                if spread:
-                    lowest, highest, cause = spread
-                    n = run.number(f"{owner}.{key}")
-                    causes.update([cause.rpartition(" (")[0]])
-                    ratios += [0.5 * (highest - lowest) / n.error] if n and n.error else []
+        for name, q, _, _ in headlines(run.summary):
+            spread = self.range_of(name) if q.order else None
+            if spread:
+                lowest, highest, cause = spread
+                n = run.number(name)
+                causes.update([cause.rpartition(" (")[0]])
+                ratios += [0.5 * (highest - lowest) / n.error] if n and n.error else []
         del causes[""]
         strongest = "".join(f"; {c} matters most, to {k} of them" for c, k in causes.most_common(1))
         if not ratios:
