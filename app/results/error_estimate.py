@@ -51,6 +51,7 @@ from app.case.quantities import (
     ORDER_OF_STRESS,
     ORDER_OF_TRACTION,
     TABLE,
+    Quantity,
     numbers_of,
 )
 from app.case.summary import Numbers, Summary
@@ -64,6 +65,8 @@ TOLERANCE_POWER = {"sdirk4": 1.0, "backward_euler": 2.0}
 # A peak is unsettled if it changes by more than this fraction between the run and the next coarser
 # mesh.
 UNSETTLED = 0.1
+# Fraction of the largest number of its unit to which errors of smaller numbers are relative.
+NEGLIGIBLE = 0.1
 # A number is rounding below this fraction of the largest number of its unit.
 ROUNDING_OF_NUMBERS = 1e-6
 # Below this fraction it is zero if it changes from mesh to mesh by at least its size.
@@ -362,6 +365,14 @@ def largest_of_units(summary: Summary) -> dict[str, float]:
     if "degC" in largest:
         largest["K"] = max(largest.get("K", 0.0), largest["degC"])
     return largest
+
+
+def reference_size(value: float, q: Quantity, largest: Mapping[str, float]) -> float:
+    """Return the size to which an error or a change of a number is relative.
+
+    It is the number itself, or `NEGLIGIBLE` of the largest number of its unit if that is larger.
+    """
+    return max(abs(value), NEGLIGIBLE * largest[q.unit])
 
 
 def is_zero(value: float, change: float, largest: float) -> bool:
