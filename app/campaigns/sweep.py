@@ -22,7 +22,7 @@ from app.campaigns.runs import Result, reason
 from app.campaigns.uncertainty import PartSpread
 from app.case import sweep as sweep_file
 from app.foundation import layout
-from app.foundation.errors import worst_error
+from app.foundation.errors import ConvergenceError, StoppedError, UnusableError, worst_error
 from app.results import run_table
 from app.results.run_table import SweepRow
 from app.results.verdicts import UNUSABLE
@@ -32,7 +32,13 @@ from app.system.folders import write_json, write_text
 
 log = logging.getLogger("mantle")
 
-STATUS = {0: "converged", 4: "not converged", 5: "stopped", 6: UNUSABLE}
+# Status of a run by its exit code; other runs have failed.
+STATUS = {
+    0: "converged",
+    ConvergenceError.exit_code: "not converged",
+    StoppedError.exit_code: "stopped",
+    UnusableError.exit_code: UNUSABLE,
+}
 FAILED = "failed"
 
 
