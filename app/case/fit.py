@@ -13,14 +13,13 @@ from typing import Annotated
 
 import numpy as np
 from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
 
 from app.case import checks, overlay, points, quantities, sweep
 from app.case.case import PlannedRun
 from app.case.points import Changes, Point, Range
 from app.foundation.arrays import Floats
 from app.schema import yaml_file
-from app.schema.section import MAPPING, Section, Text, fail, show
+from app.schema.section import MAPPING, Section, Text, defects_at, fail, show
 from app.schema.units import PositiveNumber, number_and_unit
 from app.schema.yaml_file import CaseFile, Fault
 
@@ -179,20 +178,17 @@ class FitSearch(Section):
 
 def _check_name(name: str, path: tuple[str, ...]) -> None:
     """Check that a number exists and belongs to the model, at a path of the fit."""
-    try:
+    with defects_at(path):
         quantities.quantity_or_fail(name)
-    except PydanticCustomError as error:
-        fail((error.context or {})["text"], at=path)
     if name in quantities.names_of_run_numbers():
         fail(f"{name} describes the run, not the model; expected a number of the model", at=path)
 
 
 def _value(name: str, value: object, path: tuple[str, ...], difference: bool = False) -> float:
     """Value of a number at a path of the fit."""
-    try:
-        return quantities.known_value(name, value, difference)
-    except PydanticCustomError as error:
-        fail((error.context or {})["text"], at=path)
+    with defects_at(path):
+        number = quantities.known_value(name, value, difference)
+    return number
 
 
 class FitFile(Section):
