@@ -768,8 +768,12 @@ def label_and_unit(name: str) -> tuple[str, str]:
 
 def label_with_unit(name: str) -> str:
     """A number's label with its unit in brackets, if it has one."""
-    number_title, unit = label_and_unit(name)
-    return f"{number_title} ({unit})" if unit else number_title
+    return with_brackets(*label_and_unit(name))
+
+
+def with_brackets(label: str, unit: str) -> str:
+    """A label with its printed unit in brackets; a plain number has none."""
+    return f"{label} ({unit})" if unit else label
 
 
 def known_value(name: str, value: object, difference: bool = False) -> float:

@@ -232,7 +232,7 @@ def _title(record: FitRecord, name: str) -> str:
         return quantities.label_with_unit(name)
     unit = record["keys"][name]["unit"]
     key_title = short_keys(list(record["keys"]))[name].replace("_", " ")
-    return f"{key_title} ({unit})" if unit else key_title
+    return quantities.with_brackets(key_title, unit)
 
 
 def _draw_keys(axes: Axes, record: FitRecord) -> None:

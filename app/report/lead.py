@@ -6,7 +6,14 @@ import math
 from collections.abc import Iterator, Sequence
 from itertools import chain, zip_longest
 
-from app.case.quantities import NECROSIS, TABLE, in_print, label_and_unit, printed
+from app.case.quantities import (
+    NECROSIS,
+    TABLE,
+    TEMPERATURE_LEVELS,
+    in_print,
+    label_and_unit,
+    printed,
+)
 from app.case.summary import Numbers, Summary, name_of_implant
 from app.report.page import LargeNumber, spelled_out
 from app.report.sweep_results import SweptCase, magnitude, named
@@ -195,7 +202,7 @@ def _heat(summary: Summary) -> Iterator[LargeNumber]:
         return
     hottest = max(bone, key=lambda q: q["temperature_max"])
     durations = []
-    for level in (47, 50, 56):
+    for level in TEMPERATURE_LEVELS:
         seconds = max(q[f"seconds_over_{level}"] for q in bone)
         if seconds > 0:
             durations.append(f"{seconds:,.0f} s above {level} °C")

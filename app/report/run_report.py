@@ -23,7 +23,7 @@ import matplotlib as mpl
 import meshes
 from app.case import quantities
 from app.case.case import Case, load_case
-from app.case.quantities import TABLE, Quantity, in_print, printed
+from app.case.quantities import TABLE, in_print, printed, with_brackets
 from app.case.summary import Numbers, Summary, name_of_implant
 from app.foundation.collective import distribute_tasks, on_root
 from app.foundation.errors import InputError, StoppedError
@@ -444,7 +444,7 @@ def _tables(summary: Summary, all_parts: bool, spread: InputSpread | None = None
         rows = []
         for q in shown_quantities:
             number_texts = [q.text(numbers) for numbers in by_owner.values()]
-            rows.append([_label(q), *number_texts])
+            rows.append([with_brackets(q.label, printed(q.shown)), *number_texts])
         if spread:
             rows = []
             for q in shown_quantities:
@@ -457,11 +457,6 @@ def _tables(summary: Summary, all_parts: bool, spread: InputSpread | None = None
         if section == "thermal.regions" and not all_parts and not spread:
             blocks += page.titled("Dead bone", _necrosis(by_owner))
     return blocks
-
-
-def _label(q: Quantity) -> str:
-    unit = printed(q.shown)
-    return f"{q.label} ({unit})" if unit else q.label
 
 
 def _unsettled(summary: Summary) -> tuple[list[str], list[list[str]]]:
