@@ -130,7 +130,7 @@ class SweptCase:
     @cached_property
     def step_record(self) -> dict[str, Floats]:
         """Columns of history.csv by their titles; nan where there is no value; may be empty."""
-        with suppress(OSError, IndexError):
+        with suppress(OSError):
             return Results(self.folder).step_record
         return {}
 

@@ -192,10 +192,10 @@ def write_text(path: Path, text: str) -> None:
 def csv_text(rows: Sequence[Mapping[str, object]]) -> str:
     """Rows as CSV, with a column for every key of any row."""
     buffer = io.StringIO()
-    column_names = dict.fromkeys(name for row in rows for name in row)
-    table = csv.writer(buffer, lineterminator="\n")
-    table.writerow(column_names)
-    table.writerows([row.get(name, "") for name in column_names] for row in rows)
+    column_names = list(dict.fromkeys(name for row in rows for name in row))
+    table = csv.DictWriter(buffer, column_names, lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
     return buffer.getvalue()
 
 
