@@ -24,7 +24,7 @@ from app.laws.motions import Motion
 from app.laws.supports import AnySupport
 from app.laws.values import ROUNDING_OF_HEIGHTS
 from app.schema.section import Section, did_you_mean
-from app.schema.yaml_file import Fault, Path, path_text
+from app.schema.yaml_file import Fault, Path
 
 T = TypeVar("T")
 
@@ -135,8 +135,6 @@ def _unknown(
     advice = did_you_mean(name, known_names)
     if not advice and (owner, kind_name) == ("file", "interface"):
         advice = f"; declare it: geometry: {{interfaces: {{{name}: [REGION, REGION]}}}}"
-    if name == "stem_trunnion" and "head" in known_names:
-        advice = f"; in a femur without a stem write {path_text(path)}: head"
     return Fault(path, message + advice)
 
 
