@@ -194,7 +194,7 @@ def run(name: str, options: Options) -> bool:
         return True
     log.info("%s", table_of_rows(suite.rows))
     write(name, options, suite.rows)
-    log.info("%s\nresults in %s", verdict(suite.rows), options.folder)
+    log.info("%s\nresults in %s", summary_line(suite.rows), options.folder)
     return all(
         row.outcome in (PASSED, REFUSED) or (row.outcome == MISSED and row.may_miss)
         for row in suite.rows
@@ -344,7 +344,7 @@ def _summed(name: str, rows: Sequence[Row]) -> Sequence[object]:
     return (name, len(rows), *(counts[x] or "" for x in OUTCOMES), seconds, *worst_columns)
 
 
-def verdict(rows: Sequence[Row]) -> str:
+def summary_line(rows: Sequence[Row]) -> str:
     """Number of problems passed, and names of the others."""
     names_by_outcome = {x: [row.name for row in rows if row.outcome == x] for x in OUTCOMES}
     counts = ", ".join(f"{len(rows_of)} {x}" for x, rows_of in names_by_outcome.items() if rows_of)
