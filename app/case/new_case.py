@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import configs
-from app.case import gmsh_header
+from app.case import mesh_names
 from app.case.geometries import MeshFile, MeshOptions
 from app.foundation.errors import InputError, MantleError
 
@@ -121,7 +121,7 @@ def _of_mesh_file(mesh: Path, meeting: Meeting | None) -> str:
     description, pairs = MISSING, list[tuple[str, str]]()
     if mesh.is_file():
         try:
-            regions, surfaces = (gmsh_header.physical_names(mesh, d) for d in (3, 2))
+            regions, surfaces = (mesh_names.physical_names(mesh, d) for d in (3, 2))
         except (OSError, ValueError) as error:
             raise InputError(f"{mesh}: {error}") from error
         if not regions:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import meshes
-from app.case import explanations, gmsh_header, keys, new_case, overlay
+from app.case import explanations, keys, mesh_names, new_case, overlay
 from app.case.case import LoadedCase, load_case, valid_parts
 from app.command_line import actions
 from app.command_line.parser import options_of_commands, parser
@@ -48,7 +48,7 @@ def dispatch(arguments: list[str]) -> int:
     petsc_options = arguments[cut + 1 :]
     options = parser().parse_args(arguments[:cut])
     if getattr(options, "allow_scripts", False):
-        os.environ[gmsh_header.ALLOWED] = "1"
+        os.environ[mesh_names.ALLOWED] = "1"
     if options.command == "run":
         return _run(options, petsc_options, arguments)
     if petsc_options:
