@@ -53,7 +53,7 @@ from app.case.points import short_keys
 from app.foundation.arrays import Floats
 from app.foundation.errors import worst_error
 from app.foundation.verdict import Severity
-from app.system.folders import write_json, write_text
+from app.system.folders import write_json, write_text, writing
 
 log = logging.getLogger("mantle")
 
@@ -194,7 +194,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> FitRecord | N
     record = fit_results.record_of_fit(
         problem, options.folder, evaluate.runs, outcome, identified, verdicts
     )
-    with batch.writable(options.folder):
+    with writing(options.folder):
         write_json(options.folder / "fit.json", record)
         write_text(options.folder / "fit.csv", fit_results.csv_of_fit(record))
     log.info("\n%s", fit_results.text_of_fit(record))

@@ -28,7 +28,7 @@ from app.results.run_table import SweepRow
 from app.results.verdicts import UNUSABLE
 from app.schema import yaml_file
 from app.system import identity
-from app.system.folders import write_json, write_text
+from app.system.folders import write_json, write_text, writing
 
 log = logging.getLogger("mantle")
 
@@ -96,7 +96,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
             "uncertainty": uncertainty.of_parts(rows, sweep.uncertain_inputs()),
             "cases": rows,
         }
-        with batch.writable(folder):
+        with writing(folder):
             write_json(folder / "sweep.json", record)
             write_text(folder / "sweep.csv", run_table.csv_of_runs(rows, keys, "case"))
             # A copy, because the file may have changed since it was read.

@@ -30,7 +30,7 @@ from app.schema.yaml_file import Fault
 from app.simulation import finished_runs
 from app.soundness import cost, memory
 from app.system import doctor, ranks, stopping
-from app.system.folders import prepare_run
+from app.system.folders import prepare_run, writing
 from app.system.ranks import rank
 from meshes.placement import NO_POSITION
 
@@ -218,14 +218,12 @@ def _mesh(options: argparse.Namespace) -> int:
             file = path.with_name(f"{path.stem}_{name}.png")
             is_mirrored = case.config.geometry.is_mirrored
             drawings[file] = partial(draw, title=sections.MIRRORED if is_mirrored else "")
-    try:
+    with writing(path):
         meshes.write_msh(data, path)
         print(path)
         for file, draw in drawings.items():
             draw(data, file)
             print(file)
-    except OSError as error:
-        raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error
     print(cost.exact_size(case.config, data, memory.available_memory()))
     for message in data.notes.get("messages", ()):
         print(f"note: {message}")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from app.case import quantities
 from app.case.summary import Summary
-from app.foundation.errors import InputError, StoppedError
+from app.foundation.errors import InputError
 from app.foundation.layout import leaves, noted, plain_text, several, two_digits
 from app.foundation.verdict import Severity, recorded
 from app.plots.curves import Panel, drawing
@@ -26,7 +26,7 @@ from app.report.compared_numbers import ComparedNumber
 from app.report.page import Block, LargeNumber, PageSection, bullets, table
 from app.report.sweep_results import SweptCase, headlines
 from app.results.verdicts import notes_of
-from app.system.folders import write_text
+from app.system.folders import reading, write_text, writing
 
 # Largest number of runs of a page: a browser draws about sixteen views.
 MOST_RUNS = 8
@@ -59,16 +59,11 @@ def write(folders: Sequence[Path], path: Path) -> Path:
         problems.append(f"2 to {MOST_RUNS} runs can be compared, not {len(folders)}")
     if problems:
         raise InputError(problems)
-    try:
+    with reading(", ".join(map(str, folders))):
         html = _page(folders)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        folder_list = ", ".join(map(str, folders))
-        raise InputError(f"{folder_list}: results that cannot be read: {error!r}") from error
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, html)
-    except OSError as error:
-        raise StoppedError(f"cannot write {path}: {error.strerror}") from error
     return path
 
 

@@ -13,7 +13,6 @@ from app.campaigns import fit_results
 from app.campaigns.fit_results import FitRecord, FitRow
 from app.case import quantities
 from app.case.points import Range, short_keys
-from app.foundation.errors import InputError, StoppedError
 from app.foundation.layout import duration, several, two_digits
 from app.foundation.verdict import Severity, recorded, texts_of
 from app.plots import curves, figures
@@ -21,7 +20,7 @@ from app.plots.curves import Line
 from app.plots.figures import PNG
 from app.report import page
 from app.report.page import Cell, Figure, LargeNumber, Link, PageSection, bullets, folded, table
-from app.system.folders import read_json, write_text
+from app.system.folders import read_json, reading, write_text, writing
 
 # Content, page and picture in the folder of a fit.
 RECORD = "fit.json"
@@ -50,12 +49,10 @@ def write(folder: Path) -> Path:
         StoppedError: The page cannot be written.
     """
     path = folder / RECORD
-    try:
+    with reading(path):
         record: FitRecord = read_json(path)
         sections = _sections(record)
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {error!r}") from error
-    try:
+    with writing(folder):
         _draw(record, folder / PICTURE)
         figure = Figure(PICTURE, "Steps and result", _caption(record), "Path of the search")
         picture = PageSection("path", "Path of the search", page.figures([figure], folder))
@@ -69,9 +66,6 @@ def write(folder: Path) -> Path:
             large=_large(record),
         )
         write_text(folder / PAGE, html)
-    except OSError as error:
-        message = f"cannot write {error.filename or f'the page in {folder}'}: {error.strerror}"
-        raise StoppedError(message) from error
     return folder / PAGE
 
 

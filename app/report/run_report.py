@@ -26,7 +26,6 @@ from app.case.case import Case, load_case
 from app.case.quantities import TABLE, in_print, printed, with_brackets
 from app.case.summary import Numbers, Summary, name_of_implant
 from app.foundation.collective import distribute_tasks, on_root
-from app.foundation.errors import InputError, StoppedError
 from app.foundation.layout import noted, plain_text
 from app.foundation.verdict import Severity, recorded
 from app.plots import curves, figures
@@ -50,7 +49,7 @@ from app.results import cycles
 from app.results.reading import Run
 from app.results.verdicts import UNUSABLE
 from app.system import folders
-from app.system.folders import CASE_PICTURE, write_text
+from app.system.folders import CASE_PICTURE, reading, write_text, writing
 from app.system.ranks import rank
 
 # Name of the page in the folder of a run.
@@ -147,15 +146,12 @@ def write(
         InputError: The results cannot be read, or the sweep does not fit.
         StoppedError: The page cannot be written.
     """
-    try:
+    with reading(folder), writing(folder):
         if (folder / "variations.json").exists():
-            return _variations(folder, share, comm)
-        return _run(folder, share, comm, spread=spread)
-    except OSError as error:
-        message = f"cannot write {error.filename or f'the report in {folder}'}: {error.strerror}"
-        raise StoppedError(message) from error
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{folder}: results that cannot be read: {error!r}") from error
+            pages = _variations(folder, share, comm)
+        else:
+            pages = _run(folder, share, comm, spread=spread)
+    return pages
 
 
 def opened(folder: Path) -> SweptCase:

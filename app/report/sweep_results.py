@@ -20,7 +20,7 @@ from app.plots.curves import ROUNDED
 from app.results.reading import PathTable, Results
 from app.results.verdicts import UNUSABLE
 from app.schema.units import number_and_unit
-from app.system.folders import read_json
+from app.system.folders import read_json, reading
 
 INTERFACES = ("cement_bone", "stem_cement", "stem_bone")
 # Of each contact quantity: the percentile that converges, its unit for people, factor, words.
@@ -186,19 +186,17 @@ def read(folder: Path) -> SweepResults:
         InputError: The file is missing or cannot be read.
     """
     path = folder / "sweep.json"
-    try:
+    if not path.exists():
+        problem = "has no sweep.json" if folder.is_dir() else "no such folder"
+        raise InputError(
+            f"{folder}: {problem}; expected a folder written by mantle run, sweep or fit"
+        )
+    with reading(path):
         record = read_json(path)
         cases = [_case(entry, folder) for entry in record["cases"]]
         given_fields: Json = {
             f.name: record[f.name] for f in fields(SweepResults) if record.get(f.name)
         }
-    except FileNotFoundError:
-        problem = "has no sweep.json" if folder.is_dir() else "no such folder"
-        raise InputError(
-            f"{folder}: {problem}; expected a folder written by mantle run, sweep or fit"
-        ) from None
-    except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{path}: cannot be read: {error!r}") from error
     if not cases:
         raise InputError(f"{path}: has no cases")
     given_fields |= {

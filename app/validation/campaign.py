@@ -27,7 +27,7 @@ from app.case.case import PlannedRun
 from app.foundation import layout
 from app.foundation.errors import EnvironmentProblem, InputError, worst_error
 from app.results.reading import Results
-from app.system.folders import csv_text, remove, write_json, write_text
+from app.system.folders import csv_text, remove, write_json, write_text, writing
 from app.validation import metrics, picture, records
 from app.validation.catalogue import EXPERIMENTS
 from app.validation.experiment import (
@@ -355,7 +355,7 @@ def _write(comparisons: Sequence[ComparedQuantity], options: Options) -> None:
     experiment_names = dict.fromkeys(c.experiment for c in comparisons)
     pictures = {name: folder / f"{name}.png" for name in ("validate", *experiment_names)}
     remove(pictures.values())
-    with batch.writable(folder):
+    with writing(folder):
         write_json(folder / "validate.json", [json_of_comparison(c) for c in comparisons])
         write_text(folder / "validate.csv", csv_text(table))
         pairs = [(f"{c.experiment}: {c.quantity}", c.prediction, c.measured) for c in comparisons]
