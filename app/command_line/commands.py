@@ -86,7 +86,7 @@ def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[
             f"mantle: -n {count} is ignored: mpirun has started {size or 'some'} ranks",
             file=sys.stderr,
         )
-    actions.solve_for_command_line(
+    actions.solve_in_prepared_folder(
         case,
         output,
         force=options.force,
