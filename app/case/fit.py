@@ -288,7 +288,7 @@ def read(path: Path, overrides: Sequence[str] = ()) -> FitProblem:
     other_overrides = tuple(o for o in overrides if o not in of_fit)
     file = yaml_file.read(path)
     overlay.apply(file, of_fit)
-    if "fit" not in file.data or "geometry" in file.data:
+    if overlay.file_kind(file.data) != "fit":
         message = "expected a fit file: base: CASE, and fit with keys and targets"
         file.raise_all([Fault(("fit",) if "fit" in file.data else (), message)])
     problem = FitProblem(sweep.checked_content(file, FitFile), file, path, other_overrides)

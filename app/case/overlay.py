@@ -82,6 +82,12 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
     return case
 
 
+def file_kind(data: Mapping[str, object]) -> str:
+    """Kind of a file by its keys: case, study, fit or sweep; empty if they do not tell."""
+    keys_of_kind = {"case": {"geometry"}, "study": {"study"}, "fit": {"fit"}, "sweep": AXES}
+    return next((kind for kind, keys in keys_of_kind.items() if keys & data.keys()), "")
+
+
 def shipped_cases() -> list[str]:
     """Names of the shipped cases."""
     return sorted(path.stem for path in configs.FOLDER.glob("*.yaml"))
@@ -103,10 +109,10 @@ def _chain(path: FilePath) -> list[CaseFile]:
     """
     chain = [yaml_file.read(path)]
     of_this_version(chain[0])
-    for file_kind, keys in (("sweep", AXES), ("study", {"study"}), ("fit", {"fit"})):
-        if "base" in chain[0].data and keys & chain[0].data.keys():
-            message = f"is a {file_kind} file, not a case; use mantle {file_kind} {path}"
-            chain[0].raise_all([Fault(("base",), message)])
+    kind = file_kind(chain[0].data)
+    if "base" in chain[0].data and kind not in ("", "case"):
+        message = f"is a {kind} file, not a case; use mantle {kind} {path}"
+        chain[0].raise_all([Fault(("base",), message)])
     while chain[-1].data.get("base") is not None:
         below = _named_file(chain[-1], "base")
         file_names = [file.name for file in chain]

@@ -179,7 +179,7 @@ def read(
     other_overrides = [o for o in overrides if o not in of_study]
     file = yaml_file.read(path)
     overlay.apply(file, of_study)
-    if "study" not in file.data or "geometry" in file.data:
+    if overlay.file_kind(file.data) != "study":
         message = (
             "expected a study file: base: CASE, set, and study with quantities, lines, reference"
         )

@@ -71,14 +71,10 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[Planned
         InputError: Every error of the file and its cases, at its place.
     """
     file = yaml_file.read(path)
-    kind_of_key = {
-        "geometry": "case: use mantle run",
-        "study": "study: use mantle study",
-        "fit": "fit: use mantle fit",
-    }
-    for key, kind_and_command in kind_of_key.items():
-        if key in file.data:
-            raise InputError(f"{path}: this is a {kind_and_command} {path}")
+    kind = overlay.file_kind(file.data)
+    if kind not in ("", "sweep"):
+        command = "run" if kind == "case" else kind
+        raise InputError(f"{path}: this is a {kind}: use mantle {command} {path}")
     sweep = checked_content(file, Sweep)
     planned, problems = runs_and_faults(file, path.parent, sweep.points(), overrides)
     file.raise_all(problems)
