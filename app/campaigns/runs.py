@@ -185,7 +185,7 @@ def _digest(case_text: str, run: PlannedRun) -> str:
     digested_texts = [
         case_text,
         str(run.ranks),
-        identity.text_of_versions(),
+        json.dumps(identity.versions(), sort_keys=True),
         run.case.geometry.content,
     ]
     return hashlib.sha256("\0".join(digested_texts).encode()).hexdigest()[:DIGITS_OF_ID]

@@ -688,17 +688,12 @@ add_quantity(
 )
 
 
-def _probed(case: Any) -> Iterable[str]:
-    """Names of the probes of a case."""
-    return case.output.probes or () if case.output else ()
-
-
 add_section(
     NumberSection(
         name="probes",
         title="Probes and strain gauges",
         columns={"gauge": "", "strain": "strain"},
-        owners=_probed,
+        owners=lambda case: (case.output and case.output.probes) or (),
     ),
     Quantity(
         "probes", "strain", "-", "um/m", 0, order=ORDER_OF_STRESS, step_record=True, headline=True

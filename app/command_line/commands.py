@@ -26,7 +26,6 @@ from app.command_line.streams import configure_log, painted, pass_colours
 from app.foundation import verdict
 from app.foundation.errors import EnvironmentProblem, InputError, stack_needed
 from app.schema.section import did_you_mean
-from app.schema.yaml_file import Fault
 from app.simulation import finished_runs
 from app.soundness import cost, memory
 from app.system import doctor, ranks, stopping
@@ -237,7 +236,8 @@ def _place(options: argparse.Namespace) -> int:
     file = overlay.read(source, options.overrides)
     # A stem without room is no fault here: it is to be placed.
     case, faults = valid_parts(file.data, source.parent)
-    unplaced = [fault for fault in faults if _is_without_position(fault)]
+    insertion = ("geometry", "insertion")
+    unplaced = [f for f in faults if f.path[:2] == insertion and f.text.startswith(NO_POSITION)]
     if unplaced:
         case, faults = valid_parts(_unsearched(file.data), source.parent)
     file.raise_all(faults)
@@ -250,11 +250,6 @@ def _place(options: argparse.Namespace) -> int:
     with file.placing():
         print(placement_page.write(case, source, page))
     return 0
-
-
-def _is_without_position(fault: Fault) -> bool:
-    """Return True for a stem for which `insertion: best` finds no room."""
-    return fault.path[:2] == ("geometry", "insertion") and fault.text.startswith(NO_POSITION)
 
 
 def _unsearched(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -355,7 +350,7 @@ def _report(options: argparse.Namespace) -> int:
         for path in run_report.write(folder, spread=options.spread):
             print(path)
         return 0
-    if fit_report.is_fit(folder):
+    if (folder / fit_report.RECORD).exists():
         print(fit_report.write(folder))
         return 0
     files, cases = sweep_report.run(folder)

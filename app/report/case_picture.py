@@ -181,7 +181,8 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
             0.25, 1 - (0.62 + more_title) / picture_height, heading, color=LOAD, fontsize=FONT_SIZE
         )
     other_handles = handles(figure.axes)
-    bodies = {label: other_handles.pop(label) for label in _region_labels(data)}
+    region_labels = [region.replace("_", " ") for region in data.regions]
+    bodies = {label: other_handles.pop(label) for label in region_labels}
     for middle, legend_handles in ((0.25, bodies), (0.75, other_handles)):
         figure.legend(
             legend_handles.values(),
@@ -193,10 +194,6 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
             fontsize=FONT_SIZE,
         )
     figures.save_figure(figure, path, 110, PNG)
-
-
-def _region_labels(data: MeshData) -> list[str]:
-    return [region.replace("_", " ") for region in data.regions]
 
 
 def _bodies(view: View, data: MeshData, name: str, facets: Ints, cells: Ints) -> None:

@@ -355,15 +355,11 @@ def _reasoned(level: str | None, reason: str) -> str:
 
 def _overview(factors: Sequence[AssessedFactor]) -> list[Block]:
     """Table of all factors with grade and goal."""
-    rows = [
-        [str(f.number), f.group, f.name, _of_scale(f.grade, f.scale), f.goal or "-", f.state or "-"]
-        for f in factors
-    ]
+    rows = []
+    for f in factors:
+        grade = f"{f.grade or 'none'} of a to {credibility.GRADES[len(f.scale) - 1]}"
+        rows.append([str(f.number), f.group, f.name, grade, f.goal or "-", f.state or "-"])
     return page.table(["", "activity", "factor", "grade", "goal", ""], rows)
-
-
-def _of_scale(grade: str | None, scale: Sequence[str]) -> str:
-    return f"{grade or 'none'} of a to {credibility.GRADES[len(scale) - 1]}"
 
 
 def _blocks(folder: Path, factor: AssessedFactor) -> list[Block]:

@@ -36,11 +36,6 @@ MOST_LARGE = 3
 LEAST_MISFIT = 1e-3
 
 
-def is_fit(folder: Path) -> bool:
-    """Return True if a fit has written into a folder."""
-    return (folder / RECORD).exists()
-
-
 def write(folder: Path) -> Path:
     """Write the page of a fit; return the file.
 

@@ -384,17 +384,12 @@ def _row(c: ComparedQuantity) -> dict[str, object]:
         "area": "",
     }
     if m is not None:
-        row["measured"] = (
-            _interval(metrics.measured_range(m)) if _is_spread(m) else f"{m.middle:.4g}"
-        )
+        is_spread = m.range is not None or m.uncertainty is not None
+        row["measured"] = _interval(metrics.measured_range(m)) if is_spread else f"{m.middle:.4g}"
         row[""] = "inside" if metrics.inside(p, m) else "outside"
         row["E_n"] = f"{metrics.normalised_error(p, m):.2f}"
         row["area"] = f"{metrics.area_metric(p, m):.3g}"
     return row
-
-
-def _is_spread(measured: MeasuredQuantity) -> bool:
-    return measured.range is not None or measured.uncertainty is not None
 
 
 def _interval(interval: tuple[float, float]) -> str:
