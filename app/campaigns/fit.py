@@ -213,7 +213,8 @@ def _reach_targets(evaluate: Evaluations, start: FitRun) -> Outcome:
     derivatives: Floats | None = None
 
     def deviations(fractions: Floats) -> Floats:
-        # With the constant 1, the relative stop criterion is an absolute one near zero.
+        # The last entry is 1, so that the sum of squares never vanishes: `ftol`, which is relative,
+        # then also ends a fit that is exact.
         return np.append((evaluate.step(fractions).array - values) / uncertainties, 1.0)
 
     def jacobian(fractions: Floats) -> Floats:

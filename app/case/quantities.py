@@ -791,7 +791,10 @@ def known_value(name: str, value: object, difference: bool = False) -> float:
 def numbers_of(
     summary: Mapping[str, Any], parts: bool = False
 ) -> Iterator[tuple[str, str, Numbers]]:
-    """Section, owner (with ``parts`` also ``stem_cement_rim``) and numbers in a summary."""
+    """Yield section, owner and numbers of each table of a summary.
+
+    With ``parts``, rims, tips, necks and surface zones are owners too, such as ``stem_cement_rim``.
+    """
     for section in TABLE:
         section_numbers: Any = reduce(
             lambda part, key: part.get(key, {}), section.split("."), summary

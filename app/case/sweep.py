@@ -106,7 +106,8 @@ def runs_and_faults(
     """
     problems = points.clashes(overrides, ((p.places[k], k) for p in all_points for k in p.varied))
     keys = [o.partition("=")[0].strip() for o in overrides]
-    # A value that cannot be read is None here, and reported where the case is read.
+    # An option that cannot be read counts as None here. Its error is reported when the case of the
+    # point is read.
     given_values = dict.fromkeys(keys) | overlay.changed(CaseFile(""), overrides).given
     other_overrides = [o for key, o in zip(keys, overrides, strict=True) if key != "ranks"]
     planned: list[PlannedRun] = []
