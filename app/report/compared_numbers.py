@@ -62,9 +62,7 @@ class ComparedNumber:
     def text(self, run: int) -> str:
         """Format its value in a run; 0 where it is rounding, a dash where it is missing."""
         number = self.numbers[run]
-        if number is None:
-            return "-"
-        return "0" if abs(number.value) < 0.01 * self.rounding else str(number)
+        return "-" if number is None else number.text(self.rounding)
 
     def difference(self, run: int) -> str:
         """Format the difference of a run from the first: with error, and relative to the first.

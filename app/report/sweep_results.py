@@ -67,6 +67,10 @@ class Number:
             return f"{self.value:.6g} ± {self.error:.1g}"
         return f"{self.value:.{places}f} ± {self.error:.{places}f}"
 
+    def text(self, rounding: float) -> str:
+        """The number; 0 if it is far below a difference that counts as rounding."""
+        return "0" if abs(self.value) < 0.01 * rounding else str(self)
+
     @property
     def marked(self) -> str:
         """The number, with a mark if its error exceeds it, as tables have it."""
