@@ -811,8 +811,8 @@ def numbers_of(
             yield from ((section, f"{name}_{zone}", part) for zone, part in zones.items())
 
 
-def headlines(summary: Mapping[str, Any]) -> Iterator[tuple[str, Quantity, Any, float | None]]:
-    """Full name, quantity, value and error of each main number of a summary, by `Quantity`.
+def main_numbers(summary: Mapping[str, Any]) -> Iterator[tuple[str, Quantity, Any, float | None]]:
+    """Yield full name, quantity, value and error of each headline of a summary.
 
     The error is None if it was not estimated.
     """

@@ -575,7 +575,7 @@ def _sensitivities(basis: Evidence) -> Finding:
     if not basis.spread:
         return Finding("a", ("no sweep was given",), SWEEP)
     sentences = [_samples(basis.spread)]
-    for name, q, _, _ in quantities.headlines(basis.summary):
+    for name, q, _, _ in quantities.main_numbers(basis.summary):
         values = basis.spread.range_of(name)
         if values and values[2]:
             owner = name.partition(".")[0]
@@ -604,7 +604,7 @@ def _samples(spread: InputSpread) -> str:
 
 def _bands(summary: Summary, spread: InputSpread) -> Iterator[str]:
     """Ranges of the main numbers over uncertain inputs."""
-    for name, q, _, _ in quantities.headlines(summary):
+    for name, q, _, _ in quantities.main_numbers(summary):
         values = spread.range_of(name)
         if values:
             lowest, highest, _ = values

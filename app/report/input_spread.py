@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.campaigns import uncertainty
-from app.case.quantities import Quantity, headlines, label_with_unit
+from app.case.quantities import Quantity, label_with_unit, main_numbers
 from app.case.summary import Numbers
 from app.foundation.errors import InputError
 from app.foundation.layout import leaves, plain_text, two_digits
@@ -76,7 +76,7 @@ class InputSpread:
     def sentence(self, run: SweptCase) -> str:
         """Compare mesh and inputs as sources of uncertainty of the main numbers, in sentences."""
         ratios, causes = list[float](), Counter[str]()
-        for name, q, _, _ in headlines(run.summary):
+        for name, q, _, _ in main_numbers(run.summary):
             spread = self.range_of(name) if q.order else None
             if spread:
                 lowest, highest, cause = spread

@@ -79,13 +79,13 @@ def row(point: Point, summary: Summary, status: str, seconds: float) -> RunRow:
         seconds: Wall time.
     """
     solver = summary.get("solver", {})
-    headlines = list(quantities.headlines(summary))
+    numbers = list(quantities.main_numbers(summary))
     return {
         "name": point.name,
         "overrides": point.changes,
         "status": status,
-        "numbers": {name: value for name, _, value, _ in headlines},
-        "errors": {name: error for name, _, _, error in headlines if error is not None},
+        "numbers": {name: value for name, _, value, _ in numbers},
+        "errors": {name: error for name, _, _, error in numbers if error is not None},
         "notes": notes_of(summary),
         "unknowns": solver.get("dofs"),
         "newton_iterations": solver.get("newton_iterations"),

@@ -209,7 +209,7 @@ def fail(text: str, at: Path = ()) -> NoReturn:
     raise _defect(text, at)
 
 
-def text_of(error: PydanticCustomError) -> str:
+def text_of_defect(error: PydanticCustomError) -> str:
     """Text of a defect that `fail` reported."""
     return str((error.context or {})["text"])
 
@@ -224,7 +224,7 @@ def defects_at(path: Path) -> Iterator[None]:
     try:
         yield
     except PydanticCustomError as error:
-        fail(text_of(error), at=path)
+        fail(text_of_defect(error), at=path)
 
 
 def show(value: object) -> str:

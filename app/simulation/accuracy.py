@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from mpi4py import MPI
 
 from app.case.case import Case
-from app.case.quantities import headlines, label_and_unit
+from app.case.quantities import label_and_unit, main_numbers
 from app.case.summary import EstimatedErrors, Summary
 from app.foundation.errors import ConvergenceError, StoppedError
 from app.foundation.layout import duration, percent
@@ -173,7 +173,7 @@ def relative_errors(summary: Summary) -> list[tuple[float, str, Orders]]:
     """Relative error, name and orders of each headline number of the interfaces."""
     largest = largest_of_units(summary)
     errors: list[tuple[float, str, Orders]] = []
-    for name, q, value, error in headlines(summary):
+    for name, q, value, error in main_numbers(summary):
         if q.section != "interfaces" or not q.order or error is None:
             continue
         size = reference_size(value, q, largest)

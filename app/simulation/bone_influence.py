@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 
 from app.case.case import Case
-from app.case.quantities import headlines
+from app.case.quantities import main_numbers
 from app.case.summary import BoneInfluence, Summary
 from app.foundation.layout import percent
 from app.results.error_estimate import largest_of_units, reference_size
@@ -64,10 +64,10 @@ def bone_influence(case: Case, model: Model) -> BoneInfluence | None:
 def _changes(first: Summary, second: Summary) -> tuple[dict[str, list[float]], str]:
     """Return main numbers of both companions by name, and the largest change in words."""
     largest = largest_of_units(first)
-    values_of_second = {name: value for name, _, value, _ in headlines(second)}
+    values_of_second = {name: value for name, _, value, _ in main_numbers(second)}
     numbers_of_both = dict[str, list[float]]()
     relative = dict[str, float]()
-    for name, q, first_value, _ in headlines(first):
+    for name, q, first_value, _ in main_numbers(first):
         second_value = values_of_second.get(name)
         if q.order and first_value is not None and second_value is not None:
             numbers_of_both[name] = [first_value, second_value]
