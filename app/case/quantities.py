@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import partial, reduce
 from typing import Any
 
-from app.case.summary import Numbers
+from app.case.summary import TEMPERATURE_LEVELS, Numbers
 from app.schema.section import did_you_mean, fail, show
 from app.schema.units import Dimension, Plain
 
@@ -215,8 +215,6 @@ SECTIONS_WITHOUT_OWNER = ("stem", "femur", *RUN_SECTIONS)
 PARTS = ("rim", "tip", "neck", "edge")
 # Levels of tension of cement, over which its volume is known [MPa].
 TENSION_LEVELS = (3, 5, 7, 9, 11)
-# Levels of temperature of bone, over which its time and volume are known [degC].
-TEMPERATURE_LEVELS = (47, 50, 56)
 # Levels of strains of the cortex [mm] by name: from the lesser trochanter to the tip of a stem.
 GAUGES = {"10": -10.0, "40": -40.0, "80": -80.0, "113": -113.0}
 # Sections whose numbers history.csv may have.

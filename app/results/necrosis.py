@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 
-from app.case.quantities import TEMPERATURE_LEVELS
+from app.case.summary import TEMPERATURE_LEVELS
 from app.foundation.arrays import Floats
 from app.results.over_time import Measure
 

@@ -16,8 +16,7 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem
 
-from app.case.quantities import TEMPERATURE_LEVELS
-from app.case.summary import Numbers, ThermalNumbers
+from app.case.summary import TEMPERATURE_LEVELS, Numbers, ThermalNumbers
 from app.foundation.arrays import Bools, Floats, Ints
 from app.heat.heat_forms import HeatForms
 from app.heat.nodes import InterfaceNodes, ProbePoint, Probes, Side, ThermalNodes, region_nodes
