@@ -5,19 +5,7 @@
 errors and exit codes. With python3-argcomplete installed,
 ``eval "$(register-python-argcomplete mantle)"`` completes commands and options in bash.
 
-Exit codes:
-
-| code | meaning |
-|---|---|
-| 0 | done |
-| 1 | a verification problem fails, or a benchmark cannot be measured |
-| 2 | wrong input |
-| 3 | geometry or mesh |
-| 4 | not converged |
-| 5 | stopped |
-| 6 | solved, but not to be used |
-| 69 | environment |
-| 70 | internal error |
+`foundation.errors.EXIT_CODES` lists the exit codes.
 """
 
 from __future__ import annotations
@@ -36,7 +24,7 @@ from app.command_line.parser import parser
 from app.command_line.streams import painted, silence
 from app.foundation import files
 from app.foundation.collective import all_ranks_arrive
-from app.foundation.errors import InputError, MantleError, RankError
+from app.foundation.errors import InputError, MantleError, RankError, StoppedError
 from app.soundness import memory
 from app.system import form_cache, ranks
 from app.system.folders import settle_cache
@@ -45,10 +33,6 @@ from app.system.ranks import rank
 if TYPE_CHECKING:
     from mpi4py import MPI
 
-# Exit code of an error that no user can cause.
-INTERNAL_ERROR = 70
-# Exit code of a run that was stopped.
-STOPPED = 5
 # Time that other ranks get to print their error before the job ends [s].
 GRACE = 1.0
 
@@ -81,8 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             run = (sys.argv[1:] if arguments is None else [*arguments])[:1] == ["run"]
             disk = ": no step had converged, so nothing was written" if run else ""
             print(f"stopped{disk}", file=sys.stderr, flush=True)
-        _abort(STOPPED)
-        return STOPPED
+        _abort(StoppedError.exit_code)
+        return StoppedError.exit_code
     except BrokenPipeError:
         silence(sys.stdout)
         return 0
@@ -100,8 +84,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             file=sys.stderr,
             flush=True,
         )
-        _abort(INTERNAL_ERROR)
-        return INTERNAL_ERROR
+        _abort(MantleError.exit_code)
+        return MantleError.exit_code
 
 
 def _leave(error: MantleError) -> int:

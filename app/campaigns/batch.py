@@ -26,8 +26,7 @@ import os
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,11 +35,11 @@ from app.campaigns.runs import BatchRun, Result, result_of, runs_of, tail
 from app.case.case import PlannedRun, dump, plain_data
 from app.case.variations import shared_and_varied
 from app.foundation import layout
-from app.foundation.errors import EnvironmentProblem, InputError, StoppedError
+from app.foundation.errors import EnvironmentProblem, StoppedError
 from app.foundation.layout import duration, several
 from app.schema import yaml_file
 from app.soundness import cost, memory
-from app.system.folders import FAILED_FILE, claim, write_json, write_text
+from app.system.folders import FAILED_FILE, claim, write_json, write_text, writing
 
 log = logging.getLogger("mantle")
 
@@ -94,8 +93,8 @@ def run(
         so_far: Function that is called with the results so far when runs end, and on interruption.
 
     Raises:
-        InputError: The folder cannot be written or is in use.
-        StoppedError: Interrupted; the same call continues.
+        InputError: The folder is in use.
+        StoppedError: Interrupted, and the same call continues; or the folder cannot be written.
         EnvironmentProblem: Snakemake or Slurm is missing or failed.
     """
     scheduler.check(slurm is not None)
@@ -119,7 +118,7 @@ def run(
             so_far(results())
             next_report = time.monotonic() + OFTEN
 
-    with writable(folder):
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     with claim(folder):
         pending = {r.id: r for r in runs if r.summary() is None}
@@ -191,15 +190,6 @@ def _log_ended(
     return bool(ended)
 
 
-@contextmanager
-def writable(folder: Path) -> Iterator[None]:
-    """Turn a failed write into an error of the option ``-o``."""
-    try:
-        yield
-    except OSError as error:
-        raise InputError(f"-o {folder}: cannot be written: {error.strerror}") from error
-
-
 def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None:
     """Write the cases and the jobs for Snakemake; delete marks of earlier attempts.
 
@@ -210,7 +200,7 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
     for r in pending:
         runs_of_process.setdefault(r.process, []).append(r)
     jobs = {}
-    with writable(folder):
+    with writing(folder):
         for name in ("cases", "runs"):
             (folder / name).mkdir(exist_ok=True)
         for id, runs in runs_of_process.items():

@@ -53,7 +53,7 @@ from app.case.points import short_keys
 from app.foundation.arrays import Floats
 from app.foundation.errors import worst_error
 from app.foundation.verdict import Severity
-from app.system.folders import write_json, write_text
+from app.system.folders import write_json, write_text, writing
 
 log = logging.getLogger("mantle")
 
@@ -194,7 +194,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> FitRecord | N
     record = fit_results.record_of_fit(
         problem, options.folder, evaluate.runs, outcome, identified, verdicts
     )
-    with batch.writable(options.folder):
+    with writing(options.folder):
         write_json(options.folder / "fit.json", record)
         write_text(options.folder / "fit.csv", fit_results.csv_of_fit(record))
     log.info("\n%s", fit_results.text_of_fit(record))
@@ -213,7 +213,8 @@ def _reach_targets(evaluate: Evaluations, start: FitRun) -> Outcome:
     derivatives: Floats | None = None
 
     def deviations(fractions: Floats) -> Floats:
-        # With the constant 1, the relative stop criterion is an absolute one near zero.
+        # The last entry is 1, so that the sum of squares never vanishes: `ftol`, which is relative,
+        # then also ends a fit that is exact.
         return np.append((evaluate.step(fractions).array - values) / uncertainties, 1.0)
 
     def jacobian(fractions: Floats) -> Floats:

@@ -8,7 +8,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NotRequired, TypedDict
+from typing import Literal, NotRequired, TypedDict
 
 import numpy as np
 
@@ -100,7 +100,7 @@ class KeyRow(TypedDict):
     unit: str
     low: float
     high: float
-    scale: str
+    scale: Literal["linear", "logarithmic"]
     uncertainty: float | None
     interval: list[float]
     at: str

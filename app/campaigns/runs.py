@@ -18,7 +18,13 @@ from typing import cast
 from app.case.case import Case, PlannedRun, dump, plain_data
 from app.case.summary import Summary
 from app.case.variations import CHANGED, shared_and_varied
-from app.foundation.errors import ConvergenceError, EnvironmentProblem, StoppedError, UnusableError
+from app.foundation.errors import (
+    ConvergenceError,
+    EnvironmentProblem,
+    MantleError,
+    StoppedError,
+    UnusableError,
+)
 from app.results.verdicts import reasons_not_to_use
 from app.soundness import cost, memory
 from app.system import identity
@@ -37,7 +43,7 @@ LOG_LINES = 12
 # Beginning of the line of a log that says why a run did not converge.
 NOT_CONVERGED = "no convergence"
 # Exit code of a run without a recorded one.
-LOST = 70
+LOST = MantleError.exit_code
 
 
 @dataclass(frozen=True)
@@ -179,7 +185,7 @@ def _digest(case_text: str, run: PlannedRun) -> str:
     digested_texts = [
         case_text,
         str(run.ranks),
-        identity.text_of_versions(),
+        json.dumps(identity.versions(), sort_keys=True),
         run.case.geometry.content,
     ]
     return hashlib.sha256("\0".join(digested_texts).encode()).hexdigest()[:DIGITS_OF_ID]

@@ -2,8 +2,9 @@
 
 On a cluster only ``sbatch``, ``squeue`` and ``scancel`` are called: no accounting is needed. Slurm
 runs jobs of the same name one after another. So if a batch was killed while its jobs continue, a
-new batch does not run them a second time. In the file tree of the launcher these programs are those
-of the host, and a script of the launcher starts jobs in the tree.
+new batch does not run them a second time. Where the launcher runs mantle in its own Debian tree,
+``sbatch``, ``squeue`` and ``scancel`` are those of the host, and each job enters the tree by a
+script of the launcher.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
         return
     results = batch.run(chosen_runs, options.folder, options.cores, options.slurm)
     report = report_of_runs(study, [_study_run(result) for result in results])
-    with batch.writable(options.folder):
+    with folders.writing(options.folder):
         # An old picture would not match the new numbers.
         folders.remove(options.folder / name for name in study_picture.PICTURE_FILES)
         description = {

@@ -12,7 +12,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from app.campaigns.study_report import Measured, Report, exponent_text
 from app.campaigns.work_precision import NOT_CONVERGING
-from app.case.quantities import label_and_unit, label_with_unit
+from app.case.quantities import label_and_unit, label_with_unit, with_brackets
 from app.foundation.layout import percent
 from app.plots import curves, figures, labels
 from app.plots.curves import Line
@@ -186,5 +186,5 @@ def _label(report: Report, lines: dict[str, list[int]]) -> str:
     labels_by_unit = []
     for unit, names_of_unit in levels_of_key.items():
         label = ", ".join(names_of_unit)
-        labels_by_unit.append(f"{label} ({unit})" if unit else label)
+        labels_by_unit.append(with_brackets(label, unit))
     return ", ".join(labels_by_unit)

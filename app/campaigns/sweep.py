@@ -22,17 +22,23 @@ from app.campaigns.runs import Result, reason
 from app.campaigns.uncertainty import PartSpread
 from app.case import sweep as sweep_file
 from app.foundation import layout
-from app.foundation.errors import worst_error
+from app.foundation.errors import ConvergenceError, StoppedError, UnusableError, worst_error
 from app.results import run_table
 from app.results.run_table import SweepRow
 from app.results.verdicts import UNUSABLE
 from app.schema import yaml_file
 from app.system import identity
-from app.system.folders import write_json, write_text
+from app.system.folders import write_json, write_text, writing
 
 log = logging.getLogger("mantle")
 
-STATUS = {0: "converged", 4: "not converged", 5: "stopped", 6: UNUSABLE}
+# Status of a run by its exit code; other runs have failed.
+STATUS = {
+    0: "converged",
+    ConvergenceError.exit_code: "not converged",
+    StoppedError.exit_code: "stopped",
+    UnusableError.exit_code: UNUSABLE,
+}
 FAILED = "failed"
 
 
@@ -90,7 +96,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
             "uncertainty": uncertainty.of_parts(rows, sweep.uncertain_inputs()),
             "cases": rows,
         }
-        with batch.writable(folder):
+        with writing(folder):
             write_json(folder / "sweep.json", record)
             write_text(folder / "sweep.csv", run_table.csv_of_runs(rows, keys, "case"))
             # A copy, because the file may have changed since it was read.

@@ -13,7 +13,7 @@ from app.case.points import UncertainInputs, short_keys
 from app.foundation import layout
 from app.foundation.arrays import Floats
 from app.results.run_table import SweepRow
-from app.schema.units import NUMBER
+from app.schema.units import number_and_unit
 
 # Fewest samples that define a spread.
 FEWEST_SAMPLES = 3
@@ -207,10 +207,9 @@ def partial_correlations(
     """
     from scipy.stats import rankdata
 
-    ordered = {key: values for key, values in inputs.items() if _ordered(values)}
-    columns = []
-    for values in ordered.values():
-        columns.append([_value(value) for value in values])
+    numbers_of = {key: _numbers(values) for key, values in inputs.items()}
+    ordered = {key: values for key, values in numbers_of.items() if values}
+    columns = list(ordered.values())
     varying = all(len({*column}) > 1 for column in [*columns, numbers])
     if len(columns) < 2 or len(numbers) < len(columns) + 3 or not varying:
         return {}
@@ -224,22 +223,11 @@ def partial_correlations(
     return {key: float(value) for key, value in zip(ordered, partial[:-1], strict=True)}
 
 
-def _value(value: object) -> float:
-    """Return the number in a text such as ``4.0 mm`` or ``0.3``."""
-    match = NUMBER.fullmatch(str(value))
-    assert match is not None
-    return float(match[1])
-
-
-def _ordered(values: Sequence[object]) -> bool:
-    """Return True if the values of an input are numbers of one unit."""
-    units = set()
-    for value in values:
-        match = NUMBER.fullmatch(str(value))
-        if match is None:
-            return False
-        units.add(match[2])
-    return len(units) == 1
+def _numbers(values: Sequence[object]) -> list[float]:
+    """Return the values of an input without their unit; empty if they are not of one unit."""
+    parts = [part for part in map(number_and_unit, values) if part is not None]
+    is_ordered = len(parts) == len(values) and len({unit for _, unit in parts}) == 1
+    return [number for number, _ in parts] if is_ordered else []
 
 
 def correlation(numbers: Sequence[float], inputs: Sequence[object]) -> float | None:
@@ -254,8 +242,9 @@ def correlation(numbers: Sequence[float], inputs: Sequence[object]) -> float | N
     level_count = len(set(map(str, inputs)))
     if len(set(numbers)) < 2 or level_count < 2:
         return None
-    if _ordered(inputs):
-        return float(spearmanr(numbers, [_value(v) for v in inputs]).statistic)
+    input_numbers = _numbers(inputs)
+    if input_numbers:
+        return float(spearmanr(numbers, input_numbers).statistic)
     if level_count == len(inputs):
         return None
     ranks = rankdata(numbers)

@@ -24,7 +24,7 @@ from app.laws.motions import Motion
 from app.laws.supports import AnySupport
 from app.laws.values import ROUNDING_OF_HEIGHTS
 from app.schema.section import Section, did_you_mean
-from app.schema.yaml_file import Fault, Path, path_text
+from app.schema.yaml_file import Fault, Path
 
 T = TypeVar("T")
 
@@ -39,8 +39,8 @@ NO_CYCLE_TABLE = {
 class CaseParts(Protocol):
     """Parts of a case that checks read.
 
-    A part that is not valid is None, unless a check names it as needed. An entry of a table that is
-    not valid is None too.
+    An invalid part is None. A check is not called if a part that `check` names is None. Invalid
+    entries of a table are None in every check.
     """
 
     @property
@@ -135,8 +135,6 @@ def _unknown(
     advice = did_you_mean(name, known_names)
     if not advice and (owner, kind_name) == ("file", "interface"):
         advice = f"; declare it: geometry: {{interfaces: {{{name}: [REGION, REGION]}}}}"
-    if name == "stem_trunnion" and "head" in known_names:
-        advice = f"; in a femur without a stem write {path_text(path)}: head"
     return Fault(path, message + advice)
 
 
@@ -235,10 +233,10 @@ def _cement(case: CaseParts) -> Iterable[Fault]:
         yield Fault(("geometry", "cement_thickness"), message)
     elif missing_laws:
         example = ", ".join(f"{name}: {law}" for name, law in missing_laws.items())
-        message = (
-            f"no law for {', '.join(missing_laws)}: metal would be bonded to bone (ingrown); set"
-        )
-        yield Fault(("interfaces",), f"{message} `{example}`, or `kind: bonded`")
+        names = ", ".join(missing_laws)
+        message = f"no law for {names}; without one metal is bonded to bone as if ingrown"
+        remedy = f"Write `{example}`, or `kind: bonded` if you mean this"
+        yield Fault(("interfaces",), f"{message}. {remedy}")
 
 
 @check("geometry")
@@ -447,7 +445,8 @@ def _creep(case: CaseParts) -> Iterable[Fault]:
         for name, law in laws.items() if stage.creep else ():
             counts = "time" if law.per else "cycles"
             if stage.creep_key != f"creep_{counts}":
-                yield Fault(key, f"the creep of {name} counts {counts}; expected creep_{counts}")
+                message = f"{name} creeps by a law in {counts}: use creep_{counts} in this stage"
+                yield Fault(key, message)
 
 
 @check("geometry")
@@ -582,9 +581,7 @@ def _flow(case: CaseParts, regions: Mapping[str, Material]) -> Iterable[Fault]:
     if not case.stages:
         return
     if not any(stage.takes_time for stage in case.stages):
-        message = (
-            "no stage takes time for heat; expected a duration, or steady: true, in at least one"
-        )
+        message = "heat needs time: give at least one stage a `duration`, or `steady: true`"
         yield Fault(("stages",), message)
     elif all(region.only_conducts for region in regions.values()):
         for i, stage in enumerate(case.stages):

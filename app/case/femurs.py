@@ -140,7 +140,7 @@ class _Femur(Hip):
             fail(message, at=("distal_cut_z",))
         self.check_end()
         if self.canal_widening and not self.is_cemented:
-            message = "makes room for cement, but there is none: the stem takes the bone in its way"
+            message = "is for cemented stems; without cement the stem itself displaces the bone"
             fail(f"{message}; leave it out", at=("canal_widening",))
         if not 0.0 <= self.resection.angle < math.pi / 2:
             fail("is not between 0 and 90 deg", at=("resection", "angle"))

@@ -13,15 +13,14 @@ from typing import Annotated
 
 import numpy as np
 from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
 
 from app.case import checks, overlay, points, quantities, sweep
 from app.case.case import PlannedRun
 from app.case.points import Changes, Point, Range
 from app.foundation.arrays import Floats
 from app.schema import yaml_file
-from app.schema.section import MAPPING, Section, Text, fail, show
-from app.schema.units import NUMBER, PositiveNumber
+from app.schema.section import MAPPING, Section, Text, defects_at, fail, show
+from app.schema.units import PositiveNumber, number_and_unit
 from app.schema.yaml_file import CaseFile, Fault
 
 # Paths of the parts of a fit file.
@@ -42,11 +41,11 @@ class FitKey(Range):
     def _start_within(self) -> FitKey:
         if self.start is None:
             return self
-        match = NUMBER.fullmatch(str(self.start))
-        if match is None or match[2] != self.unit:
+        parts = number_and_unit(self.start)
+        if parts is None or parts[1] != self.unit:
             unit = f"the unit {self.unit}" if self.unit else "no unit"
             fail(f"{show(self.start)} is not a number with {unit} of the bounds", at=("start",))
-        if not self.number(0.0) <= float(match[1]) <= self.number(1.0):
+        if not self.number(0.0) <= parts[0] <= self.number(1.0):
             message = f"{show(self.start)} is not within the bounds, {self.low} to {self.high}"
             fail(message, at=("start",))
         return self
@@ -54,14 +53,8 @@ class FitKey(Range):
     @property
     def start_fraction(self) -> float:
         """First value as a fraction of the range."""
-        if self.start is None:
-            return 0.5
-        match = NUMBER.fullmatch(str(self.start))
-        assert match is not None  # `_start_within`
-        lower_bound, upper_bound, start = self.number(0.0), self.number(1.0), float(match[1])
-        if self.scale == "logarithmic":
-            return math.log(start / lower_bound) / math.log(upper_bound / lower_bound)
-        return (start - lower_bound) / (upper_bound - lower_bound)
+        parts = number_and_unit(self.start)
+        return self.fraction(parts[0]) if parts else 0.5
 
 
 class Target(Section):
@@ -185,20 +178,17 @@ class FitSearch(Section):
 
 def _check_name(name: str, path: tuple[str, ...]) -> None:
     """Check that a number exists and belongs to the model, at a path of the fit."""
-    try:
+    with defects_at(path):
         quantities.quantity_or_fail(name)
-    except PydanticCustomError as error:
-        fail((error.context or {})["text"], at=path)
     if name in quantities.names_of_run_numbers():
         fail(f"{name} describes the run, not the model; expected a number of the model", at=path)
 
 
 def _value(name: str, value: object, path: tuple[str, ...], difference: bool = False) -> float:
     """Value of a number at a path of the fit."""
-    try:
-        return quantities.known_value(name, value, difference)
-    except PydanticCustomError as error:
-        fail((error.context or {})["text"], at=path)
+    with defects_at(path):
+        number = quantities.known_value(name, value, difference)
+    return number
 
 
 class FitFile(Section):
@@ -298,7 +288,7 @@ def read(path: Path, overrides: Sequence[str] = ()) -> FitProblem:
     other_overrides = tuple(o for o in overrides if o not in of_fit)
     file = yaml_file.read(path)
     overlay.apply(file, of_fit)
-    if "fit" not in file.data or "geometry" in file.data:
+    if overlay.file_kind(file.data) != "fit":
         message = "expected a fit file: base: CASE, and fit with keys and targets"
         file.raise_all([Fault(("fit",) if "fit" in file.data else (), message)])
     problem = FitProblem(sweep.checked_content(file, FitFile), file, path, other_overrides)

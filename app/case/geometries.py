@@ -15,7 +15,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
 from app.case.femurs import Femur, IntactFemur
-from app.case.gmsh_header import constants, content_hash, counts, physical_names
+from app.case.mesh_names import constants, content_hash, counts, physical_names
 from app.case.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
 from app.mesh_files import Pick
 from app.mesh_files.named import stamps

@@ -56,8 +56,9 @@ MUSCLES: dict[str, Point3] = {
 }
 
 
-# Fraction of the lines along which the mantle fills the canal, beside and below the stem, by the
-# thickness of the mantle less the widening of the canal (mm).
+# Part of the lines around the stem on which cement reaches the cortex, so that no cancellous bone
+# is left, for a mantle that is 0, 1, 2, ... mm thicker than the canal was widened. FILLED_BELOW:
+# part of the lines below the stem.
 FILLED = (0.0, 0.05, 0.4, 0.64, 0.7, 0.74, 0.8, 0.85, 0.9)
 FILLED_BELOW = (0.0, 0.0, 0.0, 0.75, 1.0)
 CANCELLOUS_WIDTH = 5.0  # mean width of cancellous bone (mm)

@@ -19,7 +19,7 @@ from app.foundation.errors import InputError
 from app.foundation.verdict import Verdict, note
 from app.laws.loads import DIRECTION, NO_FORCE
 from app.schema import yaml_file
-from app.schema.section import VECTOR, Triple, did_you_mean, show
+from app.schema.section import VECTOR, Triple, did_you_mean, show, text_of_defect
 from app.schema.units import ANGLE, FORCE, WEIGHT
 from app.schema.yaml_file import CaseFile, Fault, Path
 
@@ -249,7 +249,7 @@ def _force(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[ob
         )
         message = f"{show(upper)}: {reason}; expected a vector"
     except PydanticCustomError as error:
-        message = (error.context or {})["text"]
+        message = text_of_defect(error)
     case.complaints.append(Fault(path, message))
     return None, lower
 
@@ -329,7 +329,7 @@ def _measure(case: CaseFile, key: str, value: object) -> None:
     try:
         case.measured[key] = MEASURED[key].read(value)
     except PydanticCustomError as error:
-        case.complaints.append(Fault(("loads", key), (error.context or {})["text"]))
+        case.complaints.append(Fault(("loads", key), text_of_defect(error)))
 
 
 def weight_notes(case: CaseFile) -> list[Verdict]:

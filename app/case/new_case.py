@@ -7,14 +7,14 @@ import re
 import textwrap
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from errno import EACCES, EROFS
 from pathlib import Path
 from typing import Any
 
 import configs
-from app.case import gmsh_header
+from app.case import mesh_names
 from app.case.geometries import MeshFile, MeshOptions
 from app.foundation.errors import InputError, MantleError
+from app.system.folders import writing
 
 # Pairs of regions of a mesh that meet, and its interior surfaces.
 Meeting = Callable[[Any, Any], tuple[list[tuple[str, str]], list[str]]]
@@ -52,7 +52,8 @@ def write(
         cementless: True for a stem without cement.
 
     Raises:
-        InputError: The file exists or cannot be written; the kind has no stem.
+        InputError: The file exists, or the kind has no stem.
+        StoppedError: The file cannot be written.
     """
     if stem and kind not in ("femur", "cylinders"):
         raise InputError(f"--stem {stem}: geometries of kind {kind} have no stem; leave --stem out")
@@ -80,22 +81,13 @@ def save_case_text(path: Path, text: str) -> None:
     """Write a new file of a case.
 
     Raises:
-        InputError: The file exists or cannot be written.
+        InputError: The file exists.
+        StoppedError: It cannot be written.
     """
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(SCHEMA + text)
-    except FileExistsError:
-        raise InputError(
-            f"{path}: exists already and was not changed; choose another name"
-        ) from None
-    except OSError as error:
-        reason = error.strerror or error
-        if error.errno in (EROFS, EACCES):
-            reason = "the folder is read-only"
-        raise InputError(f"{path}: cannot be written: {reason}") from error
-    except ValueError as error:  # a name with a null character
-        raise InputError(f"{path}: cannot be written: {error}") from error
+    if path.exists():
+        raise InputError(f"{path}: exists already and was not changed; choose another name")
+    with writing(path), path.open("x", encoding="utf-8") as file:
+        file.write(SCHEMA + text)
 
 
 def add_from_labels(proposal: FromLabels) -> None:
@@ -121,7 +113,7 @@ def _of_mesh_file(mesh: Path, meeting: Meeting | None) -> str:
     description, pairs = MISSING, list[tuple[str, str]]()
     if mesh.is_file():
         try:
-            regions, surfaces = (gmsh_header.physical_names(mesh, d) for d in (3, 2))
+            regions, surfaces = (mesh_names.physical_names(mesh, d) for d in (3, 2))
         except (OSError, ValueError) as error:
             raise InputError(f"{mesh}: {error}") from error
         if not regions:

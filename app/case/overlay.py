@@ -38,6 +38,8 @@ NAMED = {
     "loads": "library",
     "credibility": "library",
 }
+# Keys of a region that stay if it becomes rigid.
+KEYS_OF_RIGID = {"tissue", "thermal"}
 SEPARATE_STUDY = (
     "a case has no section study; write a file with base: CASE and this section (mantle study)"
 )
@@ -82,6 +84,12 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
     return case
 
 
+def file_kind(data: Mapping[str, object]) -> str:
+    """Kind of a file by its keys: case, study, fit or sweep; empty if they do not tell."""
+    keys_of_kind = {"case": {"geometry"}, "study": {"study"}, "fit": {"fit"}, "sweep": AXES}
+    return next((kind for kind, keys in keys_of_kind.items() if keys & data.keys()), "")
+
+
 def shipped_cases() -> list[str]:
     """Names of the shipped cases."""
     return sorted(path.stem for path in configs.FOLDER.glob("*.yaml"))
@@ -103,10 +111,10 @@ def _chain(path: FilePath) -> list[CaseFile]:
     """
     chain = [yaml_file.read(path)]
     of_this_version(chain[0])
-    for file_kind, keys in (("sweep", AXES), ("study", {"study"}), ("fit", {"fit"})):
-        if "base" in chain[0].data and keys & chain[0].data.keys():
-            message = f"is a {file_kind} file, not a case; use mantle {file_kind} {path}"
-            chain[0].raise_all([Fault(("base",), message)])
+    kind = file_kind(chain[0].data)
+    if "base" in chain[0].data and kind not in ("", "case"):
+        message = f"is a {kind} file, not a case; use mantle {kind} {path}"
+        chain[0].raise_all([Fault(("base",), message)])
     while chain[-1].data.get("base") is not None:
         below = _named_file(chain[-1], "base")
         file_names = [file.name for file in chain]
@@ -192,7 +200,10 @@ def _forget_places_below(case: CaseFile, path: Path) -> None:
 
 
 def _place_in_time(case: CaseFile, given_places: Mapping[Path, Place]) -> None:
-    """Note which loads have the common history or cycle table, and give these its place."""
+    """Record the loads that use the common history or cycle table, for messages.
+
+    Their own key gets the place of the common one.
+    """
     loads = case.data.get("loads")
     if not isinstance(loads, dict):  # absent or wrong
         return
@@ -298,34 +309,45 @@ def _override(case: CaseFile, key: str, override: str) -> None:
 
 
 def _put(case: CaseFile, holder: Any, path: Path, value: object) -> None:
-    """Merge the value of an override into its mapping or list; null removes the old value."""
-    step, complaints = path[-1], len(case.complaints)
-    if path[0] == "regions" and (step, value) in (("kind", "rigid"), ("rigid", True)):
-        for key in holder.keys() - {"tissue", "thermal"}:
-            del holder[key]
-        step, value = "rigid", True
-    old_value = holder.get(step) if isinstance(holder, dict) else None
+    """Merge the value of an override into the case; null removes the old value.
+
+    Args:
+        case: The case.
+        holder: Mapping or list of the case with the last key of the path.
+        path: Path of the value.
+        value: The value.
+    """
+    section, key = path[0], path[-1]
+    if section == "regions" and (key, value) in (("kind", "rigid"), ("rigid", True)):
+        key, value = "rigid", True
+        for other_key in holder.keys() - KEYS_OF_RIGID:
+            del holder[other_key]
+    old_value = holder.get(key) if isinstance(holder, dict) else None
     if value is None and old_value is not None:
-        del holder[step]
+        del holder[key]
         return
-    if path[0] in ("regions", "loads") and not KEYS_OF_USE.issuperset(path[2:3]):
-        for key in library.ORIGIN:
-            case.data[str(path[0])][path[1]].pop(key, None)
-    if path == ("loads", step) and step in TIME_KEYS:
-        case.notes += _replaced_in_time(str(step), holder)
+    if section in ("regions", "loads") and not KEYS_OF_USE.issuperset(path[2:3]):
+        # It is no longer the entry of the library.
+        for origin in library.ORIGIN:
+            case.data[str(section)][path[1]].pop(origin, None)
+    is_of_all_loads = path == ("loads", key)
+    if is_of_all_loads and key in TIME_KEYS:
+        case.notes += _replaced_in_time(str(key), holder)
     given_here = {p: place for p, place in case.places.items() if p[: len(path)] == path}
-    of_entry = step == NAMED.get(str(path[0]))
-    if (of_entry and isinstance(value, str)) or (
-        path == ("loads", step) and (step in MEASURED or step in TIME_KEYS)
-    ):
-        new_values = _merged(case, holder, {step: value}, path[:-1])
+    complaints_before = len(case.complaints)
+    is_name_of_entry = key == NAMED.get(str(section)) and isinstance(value, str)
+    if is_name_of_entry or (is_of_all_loads and (key in MEASURED or key in TIME_KEYS)):
+        # The key stands for other values of its holder.
+        new_values = _merged(case, holder, {key: value}, path[:-1])
     else:
-        new_values = {step: _merged(case, old_value if step == "force" else None, value, path)}
+        # A magnitude keeps the direction of the old force; other values replace the old one.
+        old_force = old_value if key == "force" else None
+        new_values = {key: _merged(case, old_force, value, path)}
     case.places |= given_here  # over those of the entry
-    if len(case.complaints) > complaints:
+    if len(case.complaints) > complaints_before:
         return
-    if step in new_values:
-        holder[step] = new_values[step]
+    if key in new_values:
+        holder[key] = new_values[key]
     else:
         holder.clear()
         holder.update(new_values)

@@ -15,7 +15,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from app.foundation.arrays import Floats
 from app.schema.section import ITEMS, MAPPING, Kinds, Name, Section, Text, fail, show
-from app.schema.units import NUMBER
+from app.schema.units import number_and_unit
 from app.schema.yaml_file import Fault, Path, key_parts
 
 # Number of random designs to choose from.
@@ -86,13 +86,12 @@ Table = Annotated[dict[Name, Changes], MAPPING, Field(min_length=1)]
 
 
 def _parsed_number(value: object) -> tuple[float, str]:
-    match = NUMBER.fullmatch(str(value)) if isinstance(value, str | int | float) else None
-    if match is None or isinstance(value, bool):
+    parts = number_and_unit(value)
+    if parts is None:
         fail(f"{show(value)} is not a number, with its unit if it has one")
-    number = float(match[1])
-    if not math.isfinite(number):
+    if not math.isfinite(parts[0]):
         fail(f"{show(value)} is not finite")
-    return number, match[2]
+    return parts
 
 
 def _power_of_two(samples: int) -> int:
@@ -137,6 +136,13 @@ class Range(Section):
         if self.scale == "logarithmic":
             return lower_bound * (upper_bound / lower_bound) ** fraction
         return lower_bound + fraction * (upper_bound - lower_bound)
+
+    def fraction(self, number: float) -> float:
+        """Fraction of the range at a number: the inverse of `number`."""
+        lower_bound, upper_bound = self.number(0.0), self.number(1.0)
+        if self.scale == "logarithmic":
+            return math.log(number / lower_bound) / math.log(upper_bound / lower_bound)
+        return (number - lower_bound) / (upper_bound - lower_bound)
 
     def value_at(self, fraction: float) -> str | float:
         """Value at a fraction of the range, to six digits."""

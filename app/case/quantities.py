@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import partial, reduce
 from typing import Any
 
-from app.case.summary import Numbers
+from app.case.summary import TEMPERATURE_LEVELS, Numbers
 from app.schema.section import did_you_mean, fail, show
 from app.schema.units import Dimension, Plain
 
@@ -288,119 +288,95 @@ _stem = partial(Quantity, "stem")
 _femur = partial(Quantity, "femur")
 _bond = partial(Quantity, "bonds")
 _heated_region = partial(Quantity, "thermal.regions")
+_dose = partial(_heated_region, order=ORDER_OF_DOSE)
 _heated_interface = partial(Quantity, "thermal.interfaces")
 _cure = partial(Quantity, "cure")
 _solver = partial(Quantity, "solver")
 _balance = partial(Quantity, "balance")
 _timing = partial(Quantity, "timing")
 
+
+def _spread(
+    key: str,
+    label: str,
+    unit: Mapping[str, Any],
+    order: tuple[float, float],
+    order_of_mean: tuple[float, float],
+    headline: str = "",
+    on_page: bool = False,
+) -> Iterator[Quantity]:
+    """Maximum, percentiles and mean of a field on an interface.
+
+    Args:
+        key: First part of their keys, before ``_max``.
+        label: First part of their labels, before `, max`.
+        unit: Their unit, and unit and digits in tables.
+        order: Order of convergence of the percentiles.
+        order_of_mean: Order of convergence of the mean.
+        headline: Statistic that compares runs. history.csv has it and the maximum.
+        on_page: True if the page of a run has them in a table.
+    """
+    for statistic in ("max", "p95", "p99", "mean"):
+        orders = {"max": None, "mean": order_of_mean}
+        yield Quantity(
+            "interfaces",
+            f"{key}_{statistic}",
+            **unit,
+            label=f"{label}, {statistic}",
+            order=orders.get(statistic, order),
+            peak=statistic == "max",
+            step_record=bool(headline) and statistic in ("max", headline),
+            headline=statistic == headline,
+            on_page=on_page,
+        )
+
+
+def _failure(section: str) -> Iterator[Quantity]:
+    """Failure index of a surface."""
+    index = partial(Quantity, section, unit="-", digits=3)
+    yield index("failure_index_max", label="failure index, max", peak=True)
+    yield index(
+        "failure_index_p99", label="failure index, p99", order=ORDER_OF_TRACTION, step_record=True
+    )
+    yield index(
+        "failure_load_factor",
+        label="multiple of the load at which 1 % fails",
+        order=ORDER_OF_TRACTION,
+    )
+
+
+_above_strength = partial(
+    Quantity,
+    key="strength_fraction",
+    unit="-",
+    shown="%",
+    digits=0,
+    label="fraction of the area above the strength",
+    step_record=True,
+)
+MICROMETRES = {"unit": "mm", "shown": "um", "digits": 1}
+_of_motion = partial(
+    _spread, unit=MICROMETRES, order=ORDER_OF_MOTION, order_of_mean=ORDER_OF_MOTION
+)
+_of_slip = partial(_spread, unit=MICROMETRES, order=ORDER_OF_SLIP, order_of_mean=ORDER_OF_SLIP)
+# Tractions at edges grow with refinement: their 95th percentile is the headline.
+_of_traction = partial(
+    _spread,
+    unit={"unit": "MPa"},
+    order=ORDER_OF_TRACTION,
+    order_of_mean=ORDER_OF_MOTION,
+    headline="p95",
+)
+
 add_quantity(
-    # Tractions at edges grow with refinement: their 95th percentile is the headline.
-    _interface("gap_max", "mm", "um", 1, label="gap, max", peak=True, step_record=True),
-    _interface("gap_p95", "mm", "um", 1, label="gap, p95", order=ORDER_OF_MOTION),
-    _interface(
-        "gap_p99",
-        "mm",
-        "um",
-        1,
-        label="gap, p99",
-        order=ORDER_OF_MOTION,
-        step_record=True,
-        headline=True,
-    ),
-    _interface("gap_mean", "mm", "um", 1, label="gap, mean", order=ORDER_OF_MOTION),
-    _interface("slip_max", "mm", "um", 1, label="slip, max", peak=True, step_record=True),
-    _interface("slip_p95", "mm", "um", 1, label="slip, p95", order=ORDER_OF_SLIP),
-    _interface(
-        "slip_p99",
-        "mm",
-        "um",
-        1,
-        label="slip, p99",
-        order=ORDER_OF_SLIP,
-        step_record=True,
-        headline=True,
-    ),
-    _interface("slip_mean", "mm", "um", 1, label="slip, mean", order=ORDER_OF_SLIP),
-    _interface("slip_path_max", "mm", "um", 1, label="path of slip, max", peak=True),
-    _interface("slip_path_p95", "mm", "um", 1, label="path of slip, p95", order=ORDER_OF_SLIP),
-    _interface("slip_path_p99", "mm", "um", 1, label="path of slip, p99", order=ORDER_OF_SLIP),
-    _interface("slip_path_mean", "mm", "um", 1, label="path of slip, mean", order=ORDER_OF_SLIP),
-    _interface("motion_max", "mm", "um", 1, label="motion, max", peak=True, step_record=True),
-    _interface("motion_p95", "mm", "um", 1, label="motion, p95", order=ORDER_OF_MOTION),
-    _interface(
-        "motion_p99",
-        "mm",
-        "um",
-        1,
-        label="motion, p99",
-        order=ORDER_OF_MOTION,
-        step_record=True,
-        headline=True,
-    ),
-    _interface("motion_mean", "mm", "um", 1, label="motion, mean", order=ORDER_OF_MOTION),
+    *_of_motion("gap", "gap", headline="p99"),
+    *_of_slip("slip", "slip", headline="p99"),
+    *_of_slip("slip_path", "path of slip"),
+    *_of_motion("motion", "motion", headline="p99"),
     # Of a press fit: motion since its gap last changed.
-    _interface(
-        "micromotion_max",
-        "mm",
-        "um",
-        1,
-        label="micromotion, max",
-        peak=True,
-        step_record=True,
-        on_page=True,
-    ),
-    _interface(
-        "micromotion_p95",
-        "mm",
-        "um",
-        1,
-        label="micromotion, p95",
-        order=ORDER_OF_MOTION,
-        on_page=True,
-    ),
-    _interface(
-        "micromotion_p99",
-        "mm",
-        "um",
-        1,
-        label="micromotion, p99",
-        order=ORDER_OF_MOTION,
-        step_record=True,
-        headline=True,
-        on_page=True,
-    ),
-    _interface(
-        "micromotion_mean",
-        "mm",
-        "um",
-        1,
-        label="micromotion, mean",
-        order=ORDER_OF_MOTION,
-        on_page=True,
-    ),
-    _interface("pressure_max", "MPa", label="pressure, max", peak=True, step_record=True),
-    _interface(
-        "pressure_p95",
-        "MPa",
-        label="pressure, p95",
-        order=ORDER_OF_TRACTION,
-        step_record=True,
-        headline=True,
-    ),
-    _interface("pressure_p99", "MPa", label="pressure, p99", order=ORDER_OF_TRACTION),
-    _interface("pressure_mean", "MPa", label="pressure, mean", order=ORDER_OF_MOTION),
-    _interface("shear_max", "MPa", label="shear stress, max", peak=True, step_record=True),
-    _interface(
-        "shear_p95",
-        "MPa",
-        label="shear stress, p95",
-        order=ORDER_OF_TRACTION,
-        step_record=True,
-        headline=True,
-    ),
-    _interface("shear_p99", "MPa", label="shear stress, p99", order=ORDER_OF_TRACTION),
-    _interface("shear_mean", "MPa", label="shear stress, mean", order=ORDER_OF_MOTION),
+    *_of_motion("micromotion", "micromotion", headline="p99", on_page=True),
+    *_of_traction("pressure", "pressure"),
+    *_of_traction("shear", "shear stress"),
     # Contact: overlap of the sides, state of the points, forces and energies.
     _interface(
         "penetration_max",
@@ -437,32 +413,21 @@ add_quantity(
         step_record=True,
         headline=True,
     ),
-    _interface("area_gap_over_30um", "mm^2", label="area of a gap over 30 µm", on_page=True),
-    _interface("area_slip_over_30um", "mm^2", label="area of slip over 30 µm", on_page=True),
-    _interface("area_motion_over_30um", "mm^2", label="area of motion over 30 µm", on_page=True),
-    _interface(
-        "area_micromotion_over_40um",
-        "mm^2",
-        label="area of micromotion over 40 µm",
-        on_page=True,
-    ),
-    _interface(
-        "area_micromotion_over_150um",
-        "mm^2",
-        label="area of micromotion over 150 µm",
-        on_page=True,
-    ),
-    _interface(
-        "area_inducible_over_40um",
-        "mm^2",
-        label="area of inducible motion over 40 µm",
-        on_page=True,
-    ),
-    _interface(
-        "area_inducible_over_150um",
-        "mm^2",
-        label="area of inducible motion over 150 µm",
-        on_page=True,
+    *(
+        _interface(
+            f"area_{field}_over_{level}um",
+            "mm^2",
+            label=f"area of {words} over {level} µm",
+            on_page=True,
+        )
+        for field, words, levels in (
+            ("gap", "a gap", (30,)),
+            ("slip", "slip", (30,)),
+            ("motion", "motion", (30,)),
+            ("micromotion", "micromotion", (40, 150)),
+            ("inducible", "inducible motion", (40, 150)),
+        )
+        for level in levels
     ),
     _interface("force", "N", order=ORDER_OF_MOTION, vector=True),
     _interface("dissipation", "N mm", order=ORDER_OF_SLIP, step_record=True, curve=True),
@@ -487,31 +452,8 @@ add_quantity(
     _interface("pressure_mean_max", "MPa", label="mean pressure of a point, max"),
     _interface("zone_length", "mm", digits=1, label="length of the process zone", step_record=True),
     _interface("zone_elements", "-", digits=1, label="elements in the process zone"),
-    # Against the strength of the interface.
-    _interface(
-        "strength_fraction",
-        "-",
-        "%",
-        0,
-        label="fraction of the area above the strength",
-        step_record=True,
-    ),
-    _interface("failure_index_max", "-", digits=3, label="failure index, max", peak=True),
-    _interface(
-        "failure_index_p99",
-        "-",
-        digits=3,
-        label="failure index, p99",
-        order=ORDER_OF_TRACTION,
-        step_record=True,
-    ),
-    _interface(
-        "failure_load_factor",
-        "-",
-        digits=3,
-        label="multiple of the load at which 1 % fails",
-        order=ORDER_OF_TRACTION,
-    ),
+    _above_strength("interfaces"),
+    *_failure("interfaces"),
 )
 add_quantity(
     _region("von_mises_max", "MPa", label="von Mises stress, max", peak=True),
@@ -617,34 +559,12 @@ add_quantity(
     ),
 )
 add_quantity(
-    _bond(
-        "strength_fraction",
-        "-",
-        "%",
-        0,
-        label="fraction of the area above the strength",
-        step_record=True,
-    ),
+    _above_strength("bonds"),
     _bond("normal_mean", "MPa", label="normal traction, mean"),
     _bond("normal_max", "MPa", label="normal traction, max"),
     _bond("shear_mean", "MPa", label="shear stress, mean"),
     _bond("shear_max", "MPa", label="shear stress, max"),
-    _bond("failure_index_max", "-", digits=3, label="failure index, max", peak=True),
-    _bond(
-        "failure_index_p99",
-        "-",
-        digits=3,
-        label="failure index, p99",
-        order=ORDER_OF_TRACTION,
-        step_record=True,
-    ),
-    _bond(
-        "failure_load_factor",
-        "-",
-        digits=3,
-        label="multiple of the load at which 1 % fails",
-        order=ORDER_OF_TRACTION,
-    ),
+    *_failure("bonds"),
 )
 add_quantity(
     _heated_region(
@@ -679,17 +599,13 @@ add_quantity(
         label="time of the highest temperature",
         order=ORDER_OF_DOSE,
     ),
-    _heated_region("seconds_over_47", "s", digits=1, label="time over 47 °C", order=ORDER_OF_DOSE),
-    _heated_region("seconds_over_50", "s", digits=1, label="time over 50 °C", order=ORDER_OF_DOSE),
-    _heated_region("seconds_over_56", "s", digits=1, label="time over 56 °C", order=ORDER_OF_DOSE),
-    _heated_region(
-        "volume_over_47", "mm^3", digits=1, label="volume over 47 °C", order=ORDER_OF_DOSE
+    *(
+        _dose(f"seconds_over_{level}", "s", digits=1, label=f"time over {level} °C")
+        for level in TEMPERATURE_LEVELS
     ),
-    _heated_region(
-        "volume_over_50", "mm^3", digits=1, label="volume over 50 °C", order=ORDER_OF_DOSE
-    ),
-    _heated_region(
-        "volume_over_56", "mm^3", digits=1, label="volume over 56 °C", order=ORDER_OF_DOSE
+    *(
+        _dose(f"volume_over_{level}", "mm^3", digits=1, label=f"volume over {level} °C")
+        for level in TEMPERATURE_LEVELS
     ),
     _heated_region("cem43_max", "min", digits=1, label="dose CEM43, max", order=ORDER_OF_DOSE),
     _heated_region(
@@ -699,94 +615,37 @@ add_quantity(
         label="damage by Henriques-Moritz, max",
         order=ORDER_OF_DOSE,
     ),
-    # Dead bone by each rule of `NECROSIS`.
-    _heated_region(
-        "necrosis_47C_1min_volume",
-        "mm^3",
-        digits=1,
-        label="dead by 47 °C for 1 min, volume",
-        order=ORDER_OF_DOSE,
+    # Dead bone.
+    *(
+        _dose(f"necrosis_{key}_volume", "mm^3", digits=1, label=f"dead by {in_print(rule)}, volume")
+        for key, rule in NECROSIS.items()
     ),
-    _heated_region(
-        "necrosis_cem43_16_volume",
-        "mm^3",
-        digits=1,
-        label="dead by CEM43 of 16 min, volume",
-        order=ORDER_OF_DOSE,
-    ),
-    _heated_region(
-        "necrosis_cem43_60_volume",
-        "mm^3",
-        digits=1,
-        label="dead by CEM43 of 60 min, volume",
-        order=ORDER_OF_DOSE,
-    ),
-    _heated_region(
-        "necrosis_cem43_240_volume",
-        "mm^3",
-        digits=1,
-        label="dead by CEM43 of 240 min, volume",
-        order=ORDER_OF_DOSE,
-    ),
-    _heated_region(
-        "necrosis_henriques_moritz_volume",
-        "mm^3",
-        digits=1,
-        label="dead by Henriques-Moritz, volume",
-        order=ORDER_OF_DOSE,
-    ),
-    _heated_region(
-        "necrosis_47C_1min_depth", "mm", label="dead by 47 °C for 1 min, depth", order=ORDER_OF_DOSE
-    ),
-    _heated_region(
-        "necrosis_cem43_16_depth", "mm", label="dead by CEM43 of 16 min, depth", order=ORDER_OF_DOSE
-    ),
-    _heated_region(
-        "necrosis_cem43_60_depth", "mm", label="dead by CEM43 of 60 min, depth", order=ORDER_OF_DOSE
-    ),
-    _heated_region(
-        "necrosis_cem43_240_depth",
-        "mm",
-        label="dead by CEM43 of 240 min, depth",
-        order=ORDER_OF_DOSE,
-    ),
-    _heated_region(
-        "necrosis_henriques_moritz_depth",
-        "mm",
-        label="dead by Henriques-Moritz, depth",
-        order=ORDER_OF_DOSE,
+    *(
+        _dose(f"necrosis_{key}_depth", "mm", label=f"dead by {in_print(rule)}, depth")
+        for key, rule in NECROSIS.items()
     ),
 )
 add_quantity(
-    _heated_interface(
-        "temperature_max_first",
-        "degC",
-        digits=1,
-        label="highest temperature, first side",
-        order=ORDER_OF_HEAT,
-        headline=True,
+    *(
+        _heated_interface(
+            f"temperature_max_{side}",
+            "degC",
+            digits=1,
+            label=f"highest temperature, {side} side",
+            order=ORDER_OF_HEAT,
+            headline=True,
+        )
+        for side in ("first", "second")
     ),
-    _heated_interface(
-        "temperature_max_second",
-        "degC",
-        digits=1,
-        label="highest temperature, second side",
-        order=ORDER_OF_HEAT,
-        headline=True,
-    ),
-    _heated_interface(
-        "temperature_max_first_time",
-        "s",
-        digits=1,
-        label="time of the maximum, first side",
-        order=ORDER_OF_DOSE,
-    ),
-    _heated_interface(
-        "temperature_max_second_time",
-        "s",
-        digits=1,
-        label="time of the maximum, second side",
-        order=ORDER_OF_DOSE,
+    *(
+        _heated_interface(
+            f"temperature_max_{side}_time",
+            "s",
+            digits=1,
+            label=f"time of the maximum, {side} side",
+            order=ORDER_OF_DOSE,
+        )
+        for side in ("first", "second")
     ),
     _heated_interface(
         "temperature_jump_max", "K", digits=1, label="temperature jump, max", order=ORDER_OF_HEAT
@@ -827,17 +686,12 @@ add_quantity(
 )
 
 
-def _probed(case: Any) -> Iterable[str]:
-    """Names of the probes of a case."""
-    return case.output.probes or () if case.output else ()
-
-
 add_section(
     NumberSection(
         name="probes",
         title="Probes and strain gauges",
         columns={"gauge": "", "strain": "strain"},
-        owners=_probed,
+        owners=lambda case: (case.output and case.output.probes) or (),
     ),
     Quantity(
         "probes", "strain", "-", "um/m", 0, order=ORDER_OF_STRESS, step_record=True, headline=True
@@ -907,8 +761,12 @@ def label_and_unit(name: str) -> tuple[str, str]:
 
 def label_with_unit(name: str) -> str:
     """A number's label with its unit in brackets, if it has one."""
-    number_title, unit = label_and_unit(name)
-    return f"{number_title} ({unit})" if unit else number_title
+    return with_brackets(*label_and_unit(name))
+
+
+def with_brackets(label: str, unit: str) -> str:
+    """A label with its printed unit in brackets; a plain number has none."""
+    return f"{label} ({unit})" if unit else label
 
 
 def known_value(name: str, value: object, difference: bool = False) -> float:
@@ -931,7 +789,10 @@ def known_value(name: str, value: object, difference: bool = False) -> float:
 def numbers_of(
     summary: Mapping[str, Any], parts: bool = False
 ) -> Iterator[tuple[str, str, Numbers]]:
-    """Section, owner (with ``parts`` also ``stem_cement_rim``) and numbers in a summary."""
+    """Yield section, owner and numbers of each table of a summary.
+
+    With ``parts``, rims, tips, necks and surface zones are owners too, such as ``stem_cement_rim``.
+    """
     for section in TABLE:
         section_numbers: Any = reduce(
             lambda part, key: part.get(key, {}), section.split("."), summary
@@ -946,6 +807,17 @@ def numbers_of(
             yield from ((section, f"{name}_{part}", numbers[part]) for part in listed_parts)
             zones = numbers.get("zones", {}) if parts and section == "interfaces" else {}
             yield from ((section, f"{name}_{zone}", part) for zone, part in zones.items())
+
+
+def main_numbers(summary: Mapping[str, Any]) -> Iterator[tuple[str, Quantity, Any, float | None]]:
+    """Yield full name, quantity, value and error of each headline of a summary.
+
+    The error is None if it was not estimated.
+    """
+    for section, owner, numbers in numbers_of(summary):
+        for key, q in TABLE[section].items():
+            if q.headline and key in numbers:
+                yield f"{owner}.{key}", q, numbers[key], numbers.get(f"{key}_error")
 
 
 def maximum_with_parts(numbers: Numbers, key: str) -> float:

@@ -38,11 +38,10 @@ class Stage(Section):
     more, the load is sought at which it dissipates this energy; the load may fall. By default steps
     follow the load."""
     cycles: units.PositiveInteger = 1
-    """Number of load cycles. In each, loads, gaps and supports reach their values of the end of the
-    stage; in between they return to `valley`. `increments` counts the steps between a valley and a
-    peak. In the stage of the cycle tables, the last one without a duration: number of repetitions
-    of the tables. There nothing returns to `valley`, and `increments` counts the steps of a
-    cycle."""
+    """Number of load cycles: loads, gaps and supports go to their values at the end of the stage
+    and back to `valley`; `increments` counts the steps of one way. With cycle tables (last stage
+    without `duration`): repetitions of the tables; `valley` is not used and `increments` counts the
+    steps of a repetition."""
     valley: units.Share = 0.1
     """Part of the change of the stage that remains between two cycles."""
     creep_cycles: units.PositiveNumber | None = None

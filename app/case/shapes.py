@@ -53,8 +53,8 @@ AREA_PER_NODE = 0.87
 THROUGH = (0.25, 1.0, 1.25)
 CANCELLOUS = 15.0  # widest cancellous bone (mm)
 CORTICAL = 8.0  # widest cortical bone (mm)
-# Steps along (mm): first and largest over `along`, and growth per mm; from the plug down, and down
-# from the neck cut, beside whose rim the largest gaps are and where sections turn apart.
+# First and largest step, in multiples of `along`, and growth of a step per mm: `below` from the
+# plug downwards, `stem` from the neck cut downwards, where gaps are largest.
 GRADING = {"below": (1.8, 2.5, 0.2), "stem": (0.6, 1.0, 0.06)}
 # Keys of a graded thickness: equally far apart from the tip to the neck cut, and around the stem.
 HEIGHTS = ("distal", "middle", "proximal")
@@ -529,8 +529,8 @@ class MeshOptions(Section):
         return self.model_copy(update=changed_sizes)
 
     @model_serializer(mode="wrap")
-    def _known(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out the sizes of a mesh file, which are not known."""
+    def _without_unknown_sizes(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave `size` and `far_size` out of the written case if the mesh is a file."""
         fields: dict[str, Any] = handler(self)
         return {k: v for k, v in fields.items() if self.size or k not in ("size", "far_size")}
 

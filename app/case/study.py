@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Annotated
 
 from pydantic import BeforeValidator, Field, model_validator
-from pydantic_core import PydanticCustomError
 
 from app.case import checks, overlay, points, quantities, sweep
 from app.case.case import Case, PlannedRun
 from app.case.points import Changes, Lists, Point, Runs
 from app.schema import yaml_file
-from app.schema.section import ITEMS, MAPPING, Name, Section, Text, fail, show
+from app.schema.section import ITEMS, MAPPING, Name, Section, Text, defects_at, fail, show
 from app.schema.units import PositiveNumber
 from app.schema.yaml_file import Fault
 
@@ -35,10 +34,8 @@ def _values(value: object) -> object:
     for quantity, reference_value in value.items():
         if quantity in quantities.names_of_run_numbers():
             fail("has no reference value, as it describes the run; leave it out", at=(quantity,))
-        try:
+        with defects_at((quantity,)):
             quantities.known_value(quantity, reference_value)
-        except PydanticCustomError as error:
-            fail((error.context or {})["text"], at=(quantity,))
     return value
 
 
@@ -182,7 +179,7 @@ def read(
     other_overrides = [o for o in overrides if o not in of_study]
     file = yaml_file.read(path)
     overlay.apply(file, of_study)
-    if "study" not in file.data or "geometry" in file.data:
+    if overlay.file_kind(file.data) != "study":
         message = (
             "expected a study file: base: CASE, set, and study with quantities, lines, reference"
         )

@@ -14,6 +14,8 @@ from typing import Any, TypedDict, cast
 # its parts (`quantities.PARTS`). None stands for a number that is not known. The estimated error of
 # a number X is X_error. Other packages add numbers.
 Numbers = dict[str, Any]
+# Levels of temperature of regions, over which their time and volume are known [degC].
+TEMPERATURE_LEVELS = (47, 50, 56)
 
 
 class ThermalNumbers(TypedDict, total=False):

@@ -71,14 +71,10 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[Planned
         InputError: Every error of the file and its cases, at its place.
     """
     file = yaml_file.read(path)
-    kind_of_key = {
-        "geometry": "case: use mantle run",
-        "study": "study: use mantle study",
-        "fit": "fit: use mantle fit",
-    }
-    for key, kind_and_command in kind_of_key.items():
-        if key in file.data:
-            raise InputError(f"{path}: this is a {kind_and_command} {path}")
+    kind = overlay.file_kind(file.data)
+    if kind not in ("", "sweep"):
+        command = "run" if kind == "case" else kind
+        raise InputError(f"{path}: this is a {kind}: use mantle {command} {path}")
     sweep = checked_content(file, Sweep)
     planned, problems = runs_and_faults(file, path.parent, sweep.points(), overrides)
     file.raise_all(problems)
@@ -110,7 +106,8 @@ def runs_and_faults(
     """
     problems = points.clashes(overrides, ((p.places[k], k) for p in all_points for k in p.varied))
     keys = [o.partition("=")[0].strip() for o in overrides]
-    # A value that cannot be read is None here, and reported where the case is read.
+    # An option that cannot be read counts as None here. Its error is reported when the case of the
+    # point is read.
     given_values = dict.fromkeys(keys) | overlay.changed(CaseFile(""), overrides).given
     other_overrides = [o for key, o in zip(keys, overrides, strict=True) if key != "ranks"]
     planned: list[PlannedRun] = []

@@ -52,7 +52,7 @@ def _section(value: dict[str, object]) -> dict[str, object]:
     return value
 
 
-# The last annotation is checked first.
+# Pydantic applies these from right to left: MAPPING, then `_section`.
 Variations = Annotated[dict[Name, dict[str, object]], BeforeValidator(_section), MAPPING]
 
 

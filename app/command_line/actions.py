@@ -178,20 +178,21 @@ def run(
         raise InputError("a loaded case already has a mesh; give the case as a dict")
     folder = Path(output) if output is not None else case.output
     with _in_words_of_python():
-        solve_for_command_line(
-            case,
-            folder,
-            progress=progress,
-            force=force,
-            restart=restart,
-            walltime=walltime,
-            signals=signals,
-            petsc_options=petsc_options,
-        )
+        if not finished_runs.prepare(case, folder, force=force, restart=restart):
+            solve_in_prepared_folder(
+                case,
+                folder,
+                progress=progress,
+                force=force,
+                restart=restart,
+                walltime=walltime,
+                signals=signals,
+                petsc_options=petsc_options,
+            )
     return read(folder)
 
 
-def solve_for_command_line(
+def solve_in_prepared_folder(
     case: LoadedCase,
     folder: Path,
     *,
@@ -202,9 +203,10 @@ def solve_for_command_line(
     signals: bool = False,
     petsc_options: Sequence[str] = (),
 ) -> None:
-    """Solve a case and write its results, as `run`; errors name options of the command line."""
-    if finished_runs.prepare(case, folder, force=force, restart=restart):
-        return
+    """Solve a case and write its results, as `run`; errors name options of the command line.
+
+    The folder is that of `finished_runs.prepare`, which found no finished results in it.
+    """
     with ranks.mpi_settings():
         with stack_needed():
             from app.simulation import session

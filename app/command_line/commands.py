@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import meshes
-from app.case import explanations, gmsh_header, keys, new_case, overlay
+from app.case import explanations, keys, mesh_names, new_case, overlay
 from app.case.case import LoadedCase, load_case, valid_parts
 from app.command_line import actions
 from app.command_line.parser import options_of_commands, parser
@@ -26,11 +26,10 @@ from app.command_line.streams import configure_log, painted, pass_colours
 from app.foundation import verdict
 from app.foundation.errors import EnvironmentProblem, InputError, stack_needed
 from app.schema.section import did_you_mean
-from app.schema.yaml_file import Fault
 from app.simulation import finished_runs
 from app.soundness import cost, memory
 from app.system import doctor, ranks, stopping
-from app.system.folders import prepare_run
+from app.system.folders import prepare_run, writing
 from app.system.ranks import rank
 from meshes.placement import NO_POSITION
 
@@ -48,7 +47,7 @@ def dispatch(arguments: list[str]) -> int:
     petsc_options = arguments[cut + 1 :]
     options = parser().parse_args(arguments[:cut])
     if getattr(options, "allow_scripts", False):
-        os.environ[gmsh_header.ALLOWED] = "1"
+        os.environ[mesh_names.ALLOWED] = "1"
     if options.command == "run":
         return _run(options, petsc_options, arguments)
     if petsc_options:
@@ -86,7 +85,7 @@ def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[
             f"mantle: -n {count} is ignored: mpirun has started {size or 'some'} ranks",
             file=sys.stderr,
         )
-    actions.solve_for_command_line(
+    actions.solve_in_prepared_folder(
         case,
         output,
         force=options.force,
@@ -218,14 +217,12 @@ def _mesh(options: argparse.Namespace) -> int:
             file = path.with_name(f"{path.stem}_{name}.png")
             is_mirrored = case.config.geometry.is_mirrored
             drawings[file] = partial(draw, title=sections.MIRRORED if is_mirrored else "")
-    try:
+    with writing(path):
         meshes.write_msh(data, path)
         print(path)
         for file, draw in drawings.items():
             draw(data, file)
             print(file)
-    except OSError as error:
-        raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error
     print(cost.exact_size(case.config, data, memory.available_memory()))
     for message in data.notes.get("messages", ()):
         print(f"note: {message}")
@@ -239,7 +236,8 @@ def _place(options: argparse.Namespace) -> int:
     file = overlay.read(source, options.overrides)
     # A stem without room is no fault here: it is to be placed.
     case, faults = valid_parts(file.data, source.parent)
-    unplaced = [fault for fault in faults if _is_without_position(fault)]
+    insertion = ("geometry", "insertion")
+    unplaced = [f for f in faults if f.path[:2] == insertion and f.text.startswith(NO_POSITION)]
     if unplaced:
         case, faults = valid_parts(_unsearched(file.data), source.parent)
     file.raise_all(faults)
@@ -252,11 +250,6 @@ def _place(options: argparse.Namespace) -> int:
     with file.placing():
         print(placement_page.write(case, source, page))
     return 0
-
-
-def _is_without_position(fault: Fault) -> bool:
-    """Return True for a stem for which `insertion: best` finds no room."""
-    return fault.path[:2] == ("geometry", "insertion") and fault.text.startswith(NO_POSITION)
 
 
 def _unsearched(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -357,7 +350,7 @@ def _report(options: argparse.Namespace) -> int:
         for path in run_report.write(folder, spread=options.spread):
             print(path)
         return 0
-    if fit_report.is_fit(folder):
+    if (folder / fit_report.RECORD).exists():
         print(fit_report.write(folder))
         return 0
     files, cases = sweep_report.run(folder)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from app import __version__
-from app.foundation.errors import InputError
+from app.foundation.errors import EXIT_CODES, InputError
 from app.schema.section import did_you_mean
 from app.system.ranks import rank
 
@@ -25,15 +25,8 @@ first steps:
   mantle explain friction          explain a key, a result or a term
 
 exit codes:
-   0  done
-   1  a verification problem fails, or a benchmark cannot be measured
-   2  wrong input
-   3  no geometry or mesh can be made
-   4  not converged
-   5  stopped, with the state saved
-   6  solved, but the numbers must not be used
-  69  the environment is at fault: a package, a compiler, MPI
-  70  internal error"""
+"""
+EPILOG += "\n".join(f"{code:>4}  {meaning}" for code, meaning in EXIT_CODES.items())
 
 
 def _number_of_ranks(text: str) -> int:

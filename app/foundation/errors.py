@@ -120,6 +120,20 @@ KINDS_OF_ERRORS = (
 )
 
 
+# Meaning of each exit code of ``mantle``.
+EXIT_CODES = {
+    0: "done",
+    1: "a verification problem fails, or a benchmark cannot be measured",
+    InputError.exit_code: "wrong input",
+    GeometryError.exit_code: "no geometry or mesh can be made",
+    ConvergenceError.exit_code: "not converged",
+    StoppedError.exit_code: "stopped, with the state saved",
+    UnusableError.exit_code: "solved, but the numbers must not be used",
+    EnvironmentProblem.exit_code: "the environment is at fault: a package, a compiler, MPI",
+    MantleError.exit_code: "internal error",
+}
+
+
 def worst_error(codes: Iterable[int], message: str) -> MantleError:
     """Error with the highest of the exit codes of failed runs; unknown codes count as 70."""
     kinds: dict[int, type[MantleError]] = {kind.exit_code: kind for kind in KINDS_OF_ERRORS}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 # One or several, with errors and with a unit of a few letters, if any.
 NUMBER = re.compile(r"([-+<]?\s*[\d.][\d.,e+\-±/ ]*( ?[^\d\s]{1,3})?|[-/. ]*)")
@@ -88,6 +88,20 @@ def shortened_list(names: Iterable[str], most: int) -> str:
 def point_text(x: Iterable[float]) -> str:
     """Coordinates of a point as text [mm]."""
     return "({:.4g}, {:.4g}, {:.4g}) mm".format(*(round(float(v), 4) + 0.0 for v in x))
+
+
+def leaves(data: object, key: str = "") -> Iterator[tuple[str, object]]:
+    """Values of nested data, each with its full key: ``stages.0.increments``.
+
+    A list that holds neither mappings nor lists is one value.
+    """
+    if isinstance(data, list) and any(isinstance(entry, dict | list) for entry in data):
+        data = dict(enumerate(data))
+    if isinstance(data, dict) and data:
+        for name, value in data.items():
+            yield from leaves(value, f"{key}.{name}" if key else name)
+    else:
+        yield key, data
 
 
 def noted(cases: Iterable[tuple[str, Iterable[str]]]) -> list[str]:

@@ -14,7 +14,7 @@ from pydantic_core import PydanticCustomError
 
 from app.laws.values import Source, Status
 from app.schema.paths import file
-from app.schema.section import ITEMS, Section, Text, fail, show
+from app.schema.section import ITEMS, Section, Text, fail, show, text_of_defect
 from app.schema.units import ANGLE, FORCE, Dimension, Part
 
 CSV: Any = file(".csv", check=lambda path, _: path.read_text(encoding="utf-8-sig"))
@@ -121,7 +121,7 @@ def _read_columns(rows: Sequence[str], name: str = "") -> dict[str, tuple[float,
                 for (column, unit), cell in zip(units.items(), row, strict=True)
             }
         except PydanticCustomError as error:
-            fail_at_line(i, (error.context or {})["text"])
+            fail_at_line(i, text_of_defect(error))
         for column, value_before in table[-1].items() if table else ():
             angle = math.degrees(abs(row_values[column] - value_before))
             if column == "time" and row_values[column] <= value_before:

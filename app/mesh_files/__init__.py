@@ -110,11 +110,6 @@ def _divide(content: FileContent) -> None:
     content.sets = {name: rows for name, rows in content.sets.items() if name not in dropped}
 
 
-def _inp(path: Path, _pick: Pick) -> FileContent:
-    """Read a file of Abaqus or CalculiX."""
-    return abaqus.read(path)
-
-
 def _feb(path: Path, _pick: Pick) -> FileContent:
     """Read a file of FEBio 2.5 to 4: blocks of elements, surfaces, sets of nodes.
 
@@ -181,7 +176,7 @@ def _arrays(read: Callable[[Path], CellGrid]) -> Callable[[Path, Pick], FileCont
 # Suffixes of files in which each kind of part can be picked.
 PICKED = {"array": (".vtu", ".pvtu", ".xdmf", ".xmf"), "meshes": (".med",)}
 READERS: dict[str, Callable[[Path, Pick], FileContent]] = {
-    ".inp": _inp,
+    ".inp": lambda path, pick: abaqus.read(path),
     ".feb": _feb,
     ".med": med.read,
     ".vtu": _arrays(vtu.read),

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from app.foundation.arrays import Floats, Ints
+from app.foundation.layout import shortened_list
 
 # Order of the nodes of a cell for gmsh. Unlike gmsh, these programs have the middle of the edge 13
 # before that of the edge 23.
@@ -86,8 +87,7 @@ class FileContent:
 def left_out(title: str, names: Iterable[str]) -> list[str]:
     """Return a note with the first names that are left out; none without a name."""
     names = list(dict.fromkeys(names))
-    remainder = f" and {len(names) - 10} more" if names[10:] else ""
-    return [f"geometry: {title}: {', '.join(names[:10])}{remainder}"] if names else []
+    return [f"geometry: {title}: {shortened_list(names, 10)}"] if names else []
 
 
 def word(name: str) -> str:

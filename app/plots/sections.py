@@ -12,7 +12,6 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 from matplotlib.colors import Normalize, to_rgb
-from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
@@ -208,70 +207,52 @@ def interfaces(data: MeshData, path: Path, title: str = "") -> None:
     where the plug is; facets on cortical bone have red edges. Without cement the surface of the
     stem is coloured by the distance to the bone's outer surface.
     """
-    if "stem_bone" in data.interfaces:
-        _stem_in_bone(data, path, title)
-        return
-    stem, bone = (interface_facets(data, name) for name in INTERFACES)
-    patches = [triangles(data.points, facets) for facets, _, _ in (stem, bone)]
-    middle = patches[1].mean(axis=1)
-    thickness = distance_from_triangles(middle, patches[0])
-    is_around_stem = middle[:, 2] > patches[0][:, :, 2].min()
-    colour_map = ScalarMappable(
-        Normalize(np.floor(thickness.min()), np.ceil(thickness[is_around_stem].max())),
-        colormaps["viridis"],
-    )
-    stem_colours = np.tile(to_rgb(METAL), (len(patches[0]), 1))
-    bone_colours = np.where(
-        is_around_stem[:, None], colour_map.to_rgba(thickness)[:, :3], to_rgb(PLUG)
-    )
-    on_cortex = data.cell_tags[bone[2]] == data.regions.get("cortical_bone")
-    edges = (np.full(len(stem[0]), "k"), np.where(on_cortex, CORTEX, "k"))
-
-    widths = [np.ptp(p[:, :, VIEWS[view][0]]) for p in patches for view in FRONT_AND_SIDE]
-    figure = figures.new(8.5, 10.5)
-    axes = iter(figure.subplots(1, 4, sharey=True, width_ratios=widths))
-    for k, facets in enumerate((stem[0], bone[0])):
-        for view in FRONT_AND_SIDE:
-            ax = next(axes)
-            draw_surface(
-                ax, data.points[facets], patches[k], (stem_colours, bone_colours)[k], edges[k], view
-            )
-            ax.set_title(f"{INTERFACES[k]}\nfrom {view}")
-    figure.axes[0].set_ylabel("z (mm)")
-    figure.colorbar(colour_map, ax=figure.axes, label="thickness of the cement (mm)", shrink=0.5)
-    _legend_of_edges(figure, title)
-    figures.save_figure(figure, path, 95, PNG)
-
-
-def _legend_of_edges(figure: Figure, title: str) -> None:
-    """Add the meaning of red edges, and a title."""
+    is_cemented = "stem_bone" not in data.interfaces
+    colours, colour_map = _by_cement(data) if is_cemented else _by_bone(data)
+    label = "bone between the stem and the outer surface (mm)"
+    if is_cemented:
+        label = "thickness of the cement (mm)"
+    patches = {name: triangles(data.points, interface_facets(data, name)[0]) for name in colours}
+    views = [(name, view) for name in colours for view in FRONT_AND_SIDE]
+    widths = [np.ptp(patches[name][:, :, VIEWS[view][0]]) for name, view in views]
+    figure = figures.new(8.5 if is_cemented else 6.0, 10.5)
+    axes = figure.subplots(1, len(views), sharey=True, width_ratios=widths)
+    for ax, (name, view) in zip(axes, views, strict=True):
+        facets, _, cells = interface_facets(data, name)
+        on_cortex = data.cell_tags[cells] == data.regions.get("cortical_bone")
+        edges = np.where(on_cortex, CORTEX, "k")
+        draw_surface(ax, data.points[facets], patches[name], colours[name], edges, view)
+        ax.set_title(f"{name}\nfrom {view}")
+    axes[0].set_ylabel("z (mm)")
+    figure.colorbar(colour_map, ax=figure.axes, label=label, shrink=0.5)
     patch = Patch(fc="none", ec=CORTEX, label="on cortical bone")
     figure.legend(handles=[patch], loc="outside lower center", frameon=False)
     figure.suptitle(title)
-
-
-def _stem_in_bone(data: MeshData, path: Path, title: str) -> None:
-    """Write a PNG of the surface of a stem without cement."""
-    facets, _, cells = interface_facets(data, "stem_bone")
-    pieces = triangles(data.points, facets)
-    outside = triangles(data.points, nodes_of_boundary_facets(data, "bone_surface"))
-    thickness = distance_from_triangles(pieces.mean(axis=1), outside)
-    colour_map = ScalarMappable(Normalize(0.0, np.ceil(thickness.max())), colormaps["viridis"])
-    on_cortex = data.cell_tags[cells] == data.regions.get("cortical_bone")
-    edges = np.where(on_cortex, CORTEX, "k")
-    widths = [np.ptp(pieces[:, :, VIEWS[view][0]]) for view in FRONT_AND_SIDE]
-    figure = figures.new(6.0, 10.5)
-    for ax, view in zip(
-        figure.subplots(1, 2, sharey=True, width_ratios=widths), FRONT_AND_SIDE, strict=True
-    ):
-        colours = colour_map.to_rgba(thickness)[:, :3]
-        draw_surface(ax, data.points[facets], pieces, np.asarray(colours), edges, view)
-        ax.set_title(f"stem_bone\nfrom {view}")
-    figure.axes[0].set_ylabel("z (mm)")
-    label = "bone between the stem and the outer surface (mm)"
-    figure.colorbar(colour_map, ax=figure.axes, label=label, shrink=0.5)
-    _legend_of_edges(figure, title)
     figures.save_figure(figure, path, 95, PNG)
+
+
+def _by_cement(data: MeshData) -> tuple[dict[str, Floats], ScalarMappable]:
+    """Colours of the triangles of both interfaces, by the thickness of the cement."""
+    stem, bone = (triangles(data.points, interface_facets(data, name)[0]) for name in INTERFACES)
+    middle = bone.mean(axis=1)
+    thickness = distance_from_triangles(middle, stem)
+    is_around_stem = middle[:, 2] > stem[:, :, 2].min()
+    largest = np.ceil(thickness[is_around_stem].max())
+    colour_map = ScalarMappable(Normalize(np.floor(thickness.min()), largest), colormaps["viridis"])
+    stem_colours = np.tile(to_rgb(METAL), (len(stem), 1))
+    bone_colours = np.where(
+        is_around_stem[:, None], colour_map.to_rgba(thickness)[:, :3], to_rgb(PLUG)
+    )
+    return dict(zip(INTERFACES, (stem_colours, bone_colours), strict=True)), colour_map
+
+
+def _by_bone(data: MeshData) -> tuple[dict[str, Floats], ScalarMappable]:
+    """Colours of the triangles of a stem without cement, by the distance to the outer surface."""
+    stem = triangles(data.points, interface_facets(data, "stem_bone")[0])
+    outside = triangles(data.points, nodes_of_boundary_facets(data, "bone_surface"))
+    thickness = distance_from_triangles(stem.mean(axis=1), outside)
+    colour_map = ScalarMappable(Normalize(0.0, np.ceil(thickness.max())), colormaps["viridis"])
+    return {"stem_bone": np.asarray(colour_map.to_rgba(thickness)[:, :3])}, colour_map
 
 
 def draw_surface(

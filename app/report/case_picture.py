@@ -18,6 +18,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
+from scipy.optimize import isotonic_regression
 
 from app.case.case import Case
 from app.foundation.arrays import Floats, Ints
@@ -180,7 +181,8 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
             0.25, 1 - (0.62 + more_title) / picture_height, heading, color=LOAD, fontsize=FONT_SIZE
         )
     other_handles = handles(figure.axes)
-    bodies = {label: other_handles.pop(label) for label in _region_labels(data)}
+    region_labels = [region.replace("_", " ") for region in data.regions]
+    bodies = {label: other_handles.pop(label) for label in region_labels}
     for middle, legend_handles in ((0.25, bodies), (0.75, other_handles)):
         figure.legend(
             legend_handles.values(),
@@ -192,10 +194,6 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
             fontsize=FONT_SIZE,
         )
     figures.save_figure(figure, path, 110, PNG)
-
-
-def _region_labels(data: MeshData) -> list[str]:
-    return [region.replace("_", " ") for region in data.regions]
 
 
 def _bodies(view: View, data: MeshData, name: str, facets: Ints, cells: Ints) -> None:
@@ -340,8 +338,10 @@ def _labels(view: View) -> None:
     for side, box_corner in ((-1, view.low), (1, view.high)):
         by_height = sorted(view.labels, key=lambda label: float(label[2][1]))
         labels = [label for label in by_height if (label[2][0] > middle) == (side > 0)]
+        if not labels:
+            continue
         wrapped_labels = [_wrapped(label_text) for label_text, *_ in labels]
-        n, x = len(labels), box_corner[view.across] + side * LABEL_DISTANCE * view.inch
+        x = box_corner[view.across] + side * LABEL_DISTANCE * view.inch
         label_heights = np.array(
             [
                 LABEL_LINE_HEIGHT * (1 + label_text.count("\n")) + LABEL_SPACING
@@ -352,13 +352,12 @@ def _labels(view: View) -> None:
         steps = view.inch * (np.cumsum(label_heights) - label_heights / 2)
         # As near to their places as their heights allow.
         y = np.array([place[1] for *_, place in labels]) - steps
-        spread_heights = _least_increasing(y) + steps
-        if n:
-            # Below the title of the view.
-            highest = view.high[2] + (TOP_MARGIN - 1.0 - LABEL_SPACING) * view.inch
-            spread_heights = spread_heights - max(
-                0.0, spread_heights[-1] + 0.5 * label_heights[-1] * view.inch - highest
-            )
+        spread_heights = isotonic_regression(y).x + steps
+        # Below the title of the view.
+        highest = view.high[2] + (TOP_MARGIN - 1.0 - LABEL_SPACING) * view.inch
+        spread_heights -= max(
+            0.0, spread_heights[-1] + 0.5 * label_heights[-1] * view.inch - highest
+        )
         is_at_right = (side < 0) == view.ax.xaxis_inverted()
         for label_text, (_, colour, place), height in zip(
             wrapped_labels, labels, spread_heights, strict=True
@@ -374,22 +373,6 @@ def _labels(view: View) -> None:
                 ha="left" if is_at_right else "right",
                 color=colour,
             )
-
-
-def _least_increasing(values: Floats) -> Floats:
-    """Return the non-decreasing values (n,) that are nearest to given ones in least squares.
-
-    Isotonic regression: value i is the maximum over the beginnings j <= i of the minimum over the
-    ends k >= i of the mean of the values j to k.
-    """
-    nearest = np.zeros(len(values))
-    for i in range(len(values)):
-        least_means = []
-        for j in range(i + 1):
-            means = np.cumsum(values[j:]) / np.arange(1, len(values) - j + 1)
-            least_means.append(means[i - j :].min())
-        nearest[i] = max(least_means)
-    return nearest
 
 
 def _wrapped(label: str) -> str:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from app.case import quantities
 from app.case.summary import Summary
-from app.foundation.errors import InputError, StoppedError
-from app.foundation.layout import noted, plain_text, several, two_digits
+from app.foundation.errors import InputError
+from app.foundation.layout import leaves, noted, plain_text, several, two_digits
 from app.foundation.verdict import Severity, recorded
 from app.plots.curves import Panel, drawing
 from app.report import (
@@ -24,9 +24,9 @@ from app.report import (
 )
 from app.report.compared_numbers import ComparedNumber
 from app.report.page import Block, LargeNumber, PageSection, bullets, table
-from app.report.sweep_results import Json, SweptCase, headlines
+from app.report.sweep_results import SweptCase, headlines
 from app.results.verdicts import notes_of
-from app.system.folders import write_text
+from app.system.folders import reading, write_text, writing
 
 # Largest number of runs of a page: a browser draws about sixteen views.
 MOST_RUNS = 8
@@ -59,16 +59,11 @@ def write(folders: Sequence[Path], path: Path) -> Path:
         problems.append(f"2 to {MOST_RUNS} runs can be compared, not {len(folders)}")
     if problems:
         raise InputError(problems)
-    try:
+    with reading(", ".join(map(str, folders))):
         html = _page(folders)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        folder_list = ", ".join(map(str, folders))
-        raise InputError(f"{folder_list}: results that cannot be read: {error!r}") from error
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, html)
-    except OSError as error:
-        raise StoppedError(f"cannot write {path}: {error.strerror}") from error
     return path
 
 
@@ -210,7 +205,7 @@ def _input(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:
     keys: dict[str, None] = {}
     for case in cases:
         sections = {key: section for key, section in case.data.items() if key not in NOT_COMPARED}
-        values = dict(_flat(sections))
+        values = {key: plain_text(value) for key, value in leaves(sections) if value != {}}
         inputs.append(values)
         keys |= dict.fromkeys(values)
     rows = []
@@ -219,12 +214,3 @@ def _input(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:
         if len(set(level_texts)) > 1:
             rows.append([key, *level_texts])
     return table(["key", *names], rows) or bullets(["nothing: these are runs of the same case"])
-
-
-def _flat(values: Json, path: str = "") -> Iterator[tuple[str, str]]:
-    """Every value of a case with its full key, such as ``interfaces.stem_cement.clearance``."""
-    for key, value in values.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{path}{key}.")
-        else:
-            yield f"{path}{key}", plain_text(value)

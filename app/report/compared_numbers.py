@@ -12,14 +12,13 @@ from dataclasses import dataclass
 from itertools import chain
 
 from app.case import quantities
+from app.report.gruen import KJ
 from app.report.sweep_results import Json, Number, SweptCase, named
 
 # Sections of a summary on the solution process; they hold no results.
 NOT_COMPARED = quantities.RUN_SECTIONS
 # Name of the group of numbers by Gruen zone.
 ZONES = "Gruen zones"
-# kJ/m3 in 1 MPa.
-KJ = 1e3
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class ComparedNumber:
     @property
     def title(self) -> str:
         """Label with the unit in brackets."""
-        return f"{self.label} ({self.unit})" if self.unit else self.label
+        return quantities.with_brackets(self.label, self.unit)
 
     @property
     def changes(self) -> list[tuple[int, Number, Number]]:
@@ -63,9 +62,7 @@ class ComparedNumber:
     def text(self, run: int) -> str:
         """Format its value in a run; 0 where it is rounding, a dash where it is missing."""
         number = self.numbers[run]
-        if number is None:
-            return "-"
-        return "0" if abs(number.value) < 0.01 * self.rounding else str(number)
+        return "-" if number is None else number.text(self.rounding)
 
     def difference(self, run: int) -> str:
         """Format the difference of a run from the first: with error, and relative to the first.

@@ -355,15 +355,11 @@ def _reasoned(level: str | None, reason: str) -> str:
 
 def _overview(factors: Sequence[AssessedFactor]) -> list[Block]:
     """Table of all factors with grade and goal."""
-    rows = [
-        [str(f.number), f.group, f.name, _of_scale(f.grade, f.scale), f.goal or "-", f.state or "-"]
-        for f in factors
-    ]
+    rows = []
+    for f in factors:
+        grade = f"{f.grade or 'none'} of a to {credibility.GRADES[len(f.scale) - 1]}"
+        rows.append([str(f.number), f.group, f.name, grade, f.goal or "-", f.state or "-"])
     return page.table(["", "activity", "factor", "grade", "goal", ""], rows)
-
-
-def _of_scale(grade: str | None, scale: Sequence[str]) -> str:
-    return f"{grade or 'none'} of a to {credibility.GRADES[len(scale) - 1]}"
 
 
 def _blocks(folder: Path, factor: AssessedFactor) -> list[Block]:
@@ -579,10 +575,11 @@ def _sensitivities(basis: Evidence) -> Finding:
     if not basis.spread:
         return Finding("a", ("no sweep was given",), SWEEP)
     sentences = [_samples(basis.spread)]
-    for name, q in _headlines(basis.summary):
-        values = basis.spread.range_of(f"{name}.{q.key}")
+    for name, q, _, _ in quantities.main_numbers(basis.summary):
+        values = basis.spread.range_of(name)
         if values and values[2]:
-            sentences.append(f"{name}: {q.label} follows most {values[2]}")
+            owner = name.partition(".")[0]
+            sentences.append(f"{owner}: {q.label} follows most {values[2]}")
     return Finding("b", sentences, "the same for every input of the case")
 
 
@@ -605,24 +602,17 @@ def _samples(spread: InputSpread) -> str:
     )
 
 
-def _headlines(summary: Summary) -> Iterator[tuple[str, quantities.Quantity]]:
-    """Main numbers of a run with the names of their interfaces or regions."""
-    for section, name, numbers in quantities.numbers_of(summary):
-        for q in TABLE[section].values():
-            if q.headline and q.key in numbers:
-                yield name, q
-
-
 def _bands(summary: Summary, spread: InputSpread) -> Iterator[str]:
     """Ranges of the main numbers over uncertain inputs."""
-    for name, q in _headlines(summary):
-        values = spread.range_of(f"{name}.{q.key}")
+    for name, q, _, _ in quantities.main_numbers(summary):
+        values = spread.range_of(name)
         if values:
             lowest, highest, _ = values
             range_text = (
                 f"{lowest:.{q.digits}f} to {highest:.{q.digits}f} {quantities.printed(q.shown)}"
             )
-            yield f"{name}: {q.label} {range_text} (5 to 95 % over the inputs)"
+            owner = name.partition(".")[0]
+            yield f"{owner}: {q.label} {range_text} (5 to 95 % over the inputs)"
 
 
 def _parts(case: Case) -> Mapping[str, Material | AnyLoad]:

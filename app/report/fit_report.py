@@ -12,8 +12,7 @@ from matplotlib.axes import Axes
 from app.campaigns import fit_results
 from app.campaigns.fit_results import FitRecord, FitRow
 from app.case import quantities
-from app.case.points import short_keys
-from app.foundation.errors import InputError, StoppedError
+from app.case.points import Range, short_keys
 from app.foundation.layout import duration, several, two_digits
 from app.foundation.verdict import Severity, recorded, texts_of
 from app.plots import curves, figures
@@ -21,7 +20,7 @@ from app.plots.curves import Line
 from app.plots.figures import PNG
 from app.report import page
 from app.report.page import Cell, Figure, LargeNumber, Link, PageSection, bullets, folded, table
-from app.system.folders import read_json, write_text
+from app.system.folders import read_json, reading, write_text, writing
 
 # Content, page and picture in the folder of a fit.
 RECORD = "fit.json"
@@ -37,11 +36,6 @@ MOST_LARGE = 3
 LEAST_MISFIT = 1e-3
 
 
-def is_fit(folder: Path) -> bool:
-    """Return True if a fit has written into a folder."""
-    return (folder / RECORD).exists()
-
-
 def write(folder: Path) -> Path:
     """Write the page of a fit; return the file.
 
@@ -50,12 +44,10 @@ def write(folder: Path) -> Path:
         StoppedError: The page cannot be written.
     """
     path = folder / RECORD
-    try:
+    with reading(path):
         record: FitRecord = read_json(path)
         sections = _sections(record)
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {error!r}") from error
-    try:
+    with writing(folder):
         _draw(record, folder / PICTURE)
         figure = Figure(PICTURE, "Steps and result", _caption(record), "Path of the search")
         picture = PageSection("path", "Path of the search", page.figures([figure], folder))
@@ -69,9 +61,6 @@ def write(folder: Path) -> Path:
             large=_large(record),
         )
         write_text(folder / PAGE, html)
-    except OSError as error:
-        message = f"cannot write {error.filename or f'the page in {folder}'}: {error.strerror}"
-        raise StoppedError(message) from error
     return folder / PAGE
 
 
@@ -223,9 +212,7 @@ def _value(record: FitRecord, run: FitRow, name: str) -> float | None:
 def _of_share(record: FitRecord, key: str, fraction: float) -> float:
     """Value of a key at a fraction of its range, as drawn."""
     row = record["keys"][key]
-    if row["scale"] == "logarithmic":
-        return float(row["low"] * (row["high"] / row["low"]) ** fraction)
-    return row["low"] + fraction * (row["high"] - row["low"])
+    return Range(low=row["low"], high=row["high"], scale=row["scale"]).number(fraction)
 
 
 def _title(record: FitRecord, name: str) -> str:
@@ -234,7 +221,7 @@ def _title(record: FitRecord, name: str) -> str:
         return quantities.label_with_unit(name)
     unit = record["keys"][name]["unit"]
     key_title = short_keys(list(record["keys"]))[name].replace("_", " ")
-    return f"{key_title} ({unit})" if unit else key_title
+    return quantities.with_brackets(key_title, unit)
 
 
 def _draw_keys(axes: Axes, record: FitRecord) -> None:

@@ -19,12 +19,12 @@ from app.report.sweep_results import (
     Number,
     SweptCase,
     magnitude,
+    named,
 )
 
 # Last zone of the frontal view; higher numbers belong to the lateral view.
 FRONTAL = 7
-# Names of the kinds of bone.
-BONES = {"cortical_bone": "cortical bone", "cancellous_bone": "cancellous bone"}
+BONES = ("cortical_bone", "cancellous_bone")
 # kJ/m3 in 1 MPa.
 KJ = 1e3
 # Mark of a number without error next to others with errors: no coarser mesh has this bone there.
@@ -64,7 +64,7 @@ def tables(case: SweptCase) -> list[tuple[str, list[str], list[list[str]]]]:
     head = ["zone"]
     if cement:
         head.append("cement thickness, min / mean / max (mm)")
-    head += [f"strain energy, {BONES[b]} (kJ/m³)" for b in bones]
+    head += [f"strain energy, {named(b)} (kJ/m³)" for b in bones]
     known_errors = [z for z in by_zone.values() if z.get("strain_energy_density_error")]
     rows = []
     for zone_name, zone in by_zone.items():
@@ -166,7 +166,7 @@ def shielding_picture(
             axes.bar(positions, percent, 0.94 * width, color=figures.colour(k), label=stem)
         axes.axhline(0, color="0.2", lw=0.8)
         axes.axvline(FRONTAL + 0.5, color="0.6", lw=0.8, ls=":")
-        figures.set_title(axes, BONES[bone])
+        figures.set_title(axes, named(bone))
         axes.set_ylabel("change of strain\nenergy density (%)")
         figures.grid(axes, "y")
         axes.set_xticks(range(1, 15))
@@ -182,7 +182,7 @@ def shielding_picture(
     for stem, by_bone in changes.items():
         for bone, by_zone in by_bone.items():
             percentages = [f"zone {z} {100 * change:.0f} %" for z, change in by_zone.items()]
-            sentences.append(f"{stem}, {BONES[bone]}: {', '.join(percentages)}")
+            sentences.append(f"{stem}, {named(bone)}: {', '.join(percentages)}")
     return [Figure("shielding.png", "Stress shielding", caption, ". ".join(sentences))]
 
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.campaigns import uncertainty
-from app.case.quantities import TABLE, Quantity, label_with_unit, numbers_of
+from app.case.quantities import Quantity, label_with_unit, main_numbers
 from app.case.summary import Numbers
 from app.foundation.errors import InputError
-from app.foundation.layout import plain_text, two_digits
+from app.foundation.layout import leaves, plain_text, two_digits
 from app.report.sweep_keys import key_in_words
 from app.report.sweep_results import SweptCase, read
 
@@ -76,14 +76,13 @@ class InputSpread:
     def sentence(self, run: SweptCase) -> str:
         """Compare mesh and inputs as sources of uncertainty of the main numbers, in sentences."""
         ratios, causes = list[float](), Counter[str]()
-        for section, owner, _ in numbers_of(run.summary):
-            for key, q in TABLE[section].items():
-                spread = self.range_of(f"{owner}.{key}") if q.headline and q.order else None
-                if spread:
-                    lowest, highest, cause = spread
-                    n = run.number(f"{owner}.{key}")
-                    causes.update([cause.rpartition(" (")[0]])
-                    ratios += [0.5 * (highest - lowest) / n.error] if n and n.error else []
+        for name, q, _, _ in main_numbers(run.summary):
+            spread = self.range_of(name) if q.order else None
+            if spread:
+                lowest, highest, cause = spread
+                n = run.number(name)
+                causes.update([cause.rpartition(" (")[0]])
+                ratios += [0.5 * (highest - lowest) / n.error] if n and n.error else []
         del causes[""]
         strongest = "".join(f"; {c} matters most, to {k} of them" for c, k in causes.most_common(1))
         if not ratios:
@@ -135,14 +134,14 @@ def input_spread_of_run(folder: Path, run: SweptCase) -> InputSpread:
 
 
 def _differences(
-    run: object, sample: object, inputs: Iterable[str], path: str = ""
+    run: Mapping[str, object], sample: Mapping[str, object], inputs: Iterable[str]
 ) -> Iterator[str]:
     """Yield the keys other than inputs in which a sample differs from the run, with both values."""
-    if isinstance(run, dict) and isinstance(sample, dict):
-        for key in (run | sample).keys() - FREE_KEYS:
-            yield from _differences(run.get(key), sample.get(key), inputs, f"{path}.{key}")
-    elif run != sample:
-        input_keys = [key.partition("[")[0] for key in inputs]
-        if any(f"{path}.".startswith(f".{key}.") for key in input_keys):
-            return
-        yield f"{path[1:]} is {plain_text(sample)} there, not {plain_text(run)}"
+    input_keys = [key.partition("[")[0] for key in inputs]
+    of_run, of_sample = dict(leaves(run)), dict(leaves(sample))
+    for key in of_run | of_sample:
+        is_free = not FREE_KEYS.isdisjoint(key.split("."))
+        is_input = any(f"{key}.".startswith(f"{input_key}.") for input_key in input_keys)
+        value, other = of_run.get(key), of_sample.get(key)
+        if value != other and not is_free and not is_input:
+            yield f"{key} is {plain_text(other)} there, not {plain_text(value)}"

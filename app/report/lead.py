@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from itertools import chain, zip_longest
 
 from app.case.quantities import NECROSIS, TABLE, in_print, label_and_unit, printed
-from app.case.summary import Numbers, Summary, name_of_implant
+from app.case.summary import TEMPERATURE_LEVELS, Numbers, Summary, name_of_implant
 from app.report.page import LargeNumber, spelled_out
 from app.report.sweep_results import SweptCase, magnitude, named
 
@@ -109,11 +109,6 @@ def _with_unit(section: str, key: str, numbers: Numbers) -> str:
     return q.with_unit(numbers, printed(q.shown))
 
 
-def _is_pressed(numbers: Numbers) -> bool:
-    """Return True if an interface has an interference that grew before the loads."""
-    return "insertion_pressure_max" in numbers
-
-
 def _contacts(summary: Summary) -> Iterator[LargeNumber]:
     """Slip and opening of the interfaces, and the main numbers of added sections."""
     for name, q in summary["interfaces"].items():
@@ -124,7 +119,8 @@ def _contacts(summary: Summary) -> Iterator[LargeNumber]:
         surface = "surface without rim and tip" if "rim" in q else "surface"
         if "micromotion_p99" in q:
             detail = f"99 % of the {surface} moves less"
-            detail += ", counted from the end of the insertion." if _is_pressed(q) else "."
+            is_pressed = "insertion_pressure_max" in q
+            detail += ", counted from the end of the insertion." if is_pressed else "."
             area = q.get("area_micromotion_over_40um", 0.0)
             if area > SMALLEST_AREA:
                 detail += f" Motion above 40 µm: {area:,.0f} of {q['area']:,.0f} mm²."
@@ -195,7 +191,7 @@ def _heat(summary: Summary) -> Iterator[LargeNumber]:
         return
     hottest = max(bone, key=lambda q: q["temperature_max"])
     durations = []
-    for level in (47, 50, 56):
+    for level in TEMPERATURE_LEVELS:
         seconds = max(q[f"seconds_over_{level}"] for q in bone)
         if seconds > 0:
             durations.append(f"{seconds:,.0f} s above {level} °C")

@@ -17,13 +17,14 @@ from matplotlib.colors import Normalize
 
 from app.case.quantities import printed
 from app.foundation.arrays import Bools, Ints
-from app.foundation.errors import InputError, StoppedError
+from app.foundation.errors import InputError
 from app.plots import figures
 from app.plots.sections import METAL, VIEWS, draw_surface
 from app.report import viewer
 from app.report.viewer import ShownField
 from app.results.reading import Run
 from app.schema.section import did_you_mean
+from app.system.folders import writing
 from meshes.data import exterior_facets
 
 # Most pictures of a film.
@@ -70,11 +71,9 @@ def write(folder: Path, path: Path, name: str = "") -> Path:
     steps = [*steps[:-1], len(run.times) - 1]
     rate = max(1, round(len(steps) / seconds))
     writer = PillowWriter(rate) if path.suffix == ".gif" else FFMpegWriter(rate)
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         _draw(run, field, triangles, views, steps, writer, path)
-    except OSError as error:
-        raise StoppedError(f"cannot write {path}: {error.strerror or error}") from error
     return path
 
 

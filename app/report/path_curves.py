@@ -32,18 +32,14 @@ def path_blocks_of_run(case: SweptCase) -> list[Block]:
     blocks: list[Block] = []
     for name, table in case.paths.items():
         drawings = [drawing(panel) for panel in panels_of_path(table, stages_of(case))]
-        blocks += page.titled(named(name), page.drawings(drawings, GAPS if has_gaps(table) else ""))
+        caption = GAPS if (table[REGION] == "").any() else ""
+        blocks += page.titled(named(name), page.drawings(drawings, caption))
     return blocks
 
 
 def stages_of(case: SweptCase) -> list[str]:
     """Names of the stages of a run."""
     return [str(stage["name"]) for stage in case.data.get("stages", [])]
-
-
-def has_gaps(table: PathTable) -> bool:
-    """Return True if a point of a path is outside all bodies."""
-    return bool((table[REGION] == "").any())
 
 
 def panels_of_path(table: PathTable, stages: Sequence[str], title: str = "") -> list[Panel]:

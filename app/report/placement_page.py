@@ -21,10 +21,10 @@ from app.case.shapes import GradedThickness
 from app.case.stems import SUFFIXES, StemFile
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import InputError, MantleError
-from app.foundation.files import write_bytes
 from app.foundation.implant import Implant
 from app.report import page, viewer
 from app.report.packed_arrays import PackedArrays, as_text, points_in_range
+from app.system.folders import write_text, writing
 from meshes import best_position, femur_stem, room
 from meshes.femur_bone import tube_triangles
 from meshes.placement import LEAST_SHOULDER_DEPTH, Position, position
@@ -89,11 +89,9 @@ def write(case: Case, source: Path, path: Path) -> Path:
             "scripts": [*script_texts, (module_folder / "placement.js").read_text("utf-8")],
         },
     )
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(path, html.encode())
-    except OSError as error:
-        raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error
+        write_text(path, html)
     return path
 
 

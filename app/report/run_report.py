@@ -22,11 +22,10 @@ import matplotlib as mpl
 
 import meshes
 from app.case import quantities
-from app.case.case import load_case
-from app.case.quantities import TABLE, Quantity, in_print, printed
+from app.case.case import Case, load_case
+from app.case.quantities import TABLE, in_print, printed, with_brackets
 from app.case.summary import Numbers, Summary, name_of_implant
 from app.foundation.collective import distribute_tasks, on_root
-from app.foundation.errors import InputError, MantleError, StoppedError
 from app.foundation.layout import noted, plain_text
 from app.foundation.verdict import Severity, recorded
 from app.plots import curves, figures
@@ -50,7 +49,7 @@ from app.results import cycles
 from app.results.reading import Run
 from app.results.verdicts import UNUSABLE
 from app.system import folders
-from app.system.folders import CASE_PICTURE, write_text
+from app.system.folders import CASE_PICTURE, reading, write_text, writing
 from app.system.ranks import rank
 
 # Name of the page in the folder of a run.
@@ -147,15 +146,12 @@ def write(
         InputError: The results cannot be read, or the sweep does not fit.
         StoppedError: The page cannot be written.
     """
-    try:
+    with reading(folder), writing(folder):
         if (folder / "variations.json").exists():
-            return _variations(folder, share, comm)
-        return _run(folder, share, comm, spread=spread)
-    except OSError as error:
-        message = f"cannot write {error.filename or f'the report in {folder}'}: {error.strerror}"
-        raise StoppedError(message) from error
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{folder}: results that cannot be read: {error!r}") from error
+            pages = _variations(folder, share, comm)
+        else:
+            pages = _run(folder, share, comm, spread=spread)
+    return pages
 
 
 def opened(folder: Path) -> SweptCase:
@@ -172,6 +168,13 @@ def _run(
 ) -> list[Path]:
     """Write the page of a run with the pictures that its share of time allows."""
     case = opened(folder)
+    config, reason = _read_config(folder)
+
+    def view() -> tuple[str, list[str]]:
+        try:
+            return viewer.viewer({"": folder}), []
+        except Exception as error:  # with unreadable fields there is still a page
+            return "", [f"note: no view in three dimensions: {type(error).__name__}: {error}"]
 
     def time() -> float:
         summary = UNFINISHED | _json(folder / "summary.json")
@@ -181,19 +184,21 @@ def _run(
     has_viewer = is_alone or time_allowed >= VIEW
     # The view is first, so that it goes to rank 0: this rank also writes the page.
     tasks: list[Callable[[], Any]] = [
-        lambda: _view(folder) if has_viewer else ("", []),
-        lambda: _model(folder) if has_viewer else [],
+        lambda: view() if has_viewer else ("", []),
+        lambda: _model(folder, config, reason) if has_viewer else [],
         lambda: _pictures(case, time_allowed),
     ]
     page_parts = distribute_tasks(comm, tasks)
     if comm.rank:
         return []
-    (view, no_view), model, (sides, maps, files) = page_parts
+    (view_html, no_view), model, (sides, maps, files) = page_parts
     summary = UNFINISHED | _json(folder / "summary.json")
     record = _json(folder / "provenance.json")
     input_spread = input_spread_of_run(spread, case) if spread else None
-    panels = _forces(case)
-    panels += step_curves.over_time(case.step_record, at_rest=_starts_at_rest(case))
+    panels = step_curves.forces(config, case.step_record) if config else []
+    loads = case.data.get("loads", {}).values()
+    is_grown_from_zero = bool(case.data) and not any(load.get("cycle_table") for load in loads)
+    panels += step_curves.over_time(case.step_record, at_rest=is_grown_from_zero)
     if share == math.inf and panels:
         (folder / PICTURES).mkdir(exist_ok=True)
         files = curves.draw(folder / PICTURES / "curves.png", panels, 3) + files
@@ -218,8 +223,8 @@ def _run(
         facts=_facts(folder, record),
         lead=" ".join(filter(None, sentences)),
         large=lead.large_numbers(summary) if solved else [],
-        view=view,
-        note=_mirrored(case),
+        view=view_html,
+        note=_mirrored(config) if config else "",
     )
     write_text(folder / PAGE, html)
     return [folder / PAGE, *files]
@@ -253,12 +258,12 @@ def _record_sections(case: SweptCase, summary: Summary, record: Json) -> list[Pa
     ]
 
 
-def _forces(case: SweptCase) -> list[curves.Panel]:
-    """Return the panel of the forces; none if the files that the case names are gone."""
+def _read_config(folder: Path) -> tuple[Case | None, str]:
+    """Return the configuration, or None and the reason: files that it names may be gone."""
     try:
-        return step_curves.forces(load_case(case.folder / "case.yaml").config, case.step_record)
-    except InputError:
-        return []
+        return load_case(folder / "case.yaml").config, ""
+    except Exception as error:  # there is still a page
+        return None, f"{type(error).__name__}: {error}"
 
 
 def _path_files(case: SweptCase) -> list[Path]:
@@ -272,37 +277,33 @@ def _path_files(case: SweptCase) -> list[Path]:
     return files
 
 
-def _starts_at_rest(case: SweptCase) -> bool:
-    """Return True if all loads grow from zero, so that none follows a time course."""
-    loads = case.data.get("loads", {}).values()
-    return bool(case.data) and not any(load.get("cycle_table") for load in loads)
+def _model(folder: Path, config: Case | None, reason: str) -> list[Block]:
+    """Return the picture of the case, or the reason why there is none, and its landmarks.
 
-
-def _model(folder: Path) -> list[Block]:
-    """Return the picture of the case, or the reason why there is none, and its landmarks."""
+    Args:
+        folder: The run directory.
+        config: The case.
+        reason: The reason if the case cannot be read.
+    """
     caption = (
         "Pale: the outside. Black lines: outlines of the bodies in the section. The length of an "
         "arrow is proportional to the square root of the force."
     )
     figure = Figure(CASE_PICTURE, "", caption, "The case in two views", halves=True)
     try:
-        if not (folder / CASE_PICTURE).exists():
-            case = load_case(folder / "case.yaml").config
-            data = meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
-            case_picture.draw(case, data, folder / CASE_PICTURE)
+        if config and not (folder / CASE_PICTURE).exists():
+            data = meshes.build(config.geometry, config.mesh, folders.cache("meshes"))
+            case_picture.draw(config, data, folder / CASE_PICTURE)
         picture = page.figures([figure], folder)
     except Exception as error:  # without the mesh there is still a page
-        picture = bullets([f"note: no picture of the case: {type(error).__name__}: {error}"])
-    return picture + _landmarks(folder)
+        reason = reason or f"{type(error).__name__}: {error}"
+        picture = bullets([f"note: no picture of the case: {reason}"])
+    return picture + (_landmarks(config) if config else [])
 
 
-def _landmarks(folder: Path) -> list[Block]:
-    """Return landmarks and the position of the stem; nothing without the files of the case."""
-    try:
-        geometry = load_case(folder / "case.yaml").config.geometry
-    except MantleError:
-        return []
-    details = geometry.details | geometry.placement_details
+def _landmarks(config: Case) -> list[Block]:
+    """Return landmarks and the position of the stem."""
+    details = config.geometry.details | config.geometry.placement_details
     return bullets([f"{name}: {plain_text(detail)}" for name, detail in details.items()])
 
 
@@ -333,26 +334,14 @@ def _pictures(case: SweptCase, time_allowed: float) -> tuple[list[Block], list[B
     return from_sides, on_maps + bullets(reasons), files if is_unlimited else []
 
 
-def _mirrored(case: SweptCase) -> str:
+def _mirrored(config: Case) -> str:
     """Return a sentence on the pictures of a right femur; empty for others."""
-    try:
-        is_mirrored = load_case(case.folder / "case.yaml").config.geometry.is_mirrored
-    except InputError:
-        return ""
-    if not is_mirrored:
+    if not config.geometry.is_mirrored:
         return ""
     return (
         "This is a right femur. The model and all pictures are mirrored, so that it looks like a"
         " left one. Medial, lateral, anterior and posterior are those of the patient."
     )
-
-
-def _view(folder: Path) -> tuple[str, list[str]]:
-    """Return the view in three dimensions, and the reason if there is none."""
-    try:
-        return viewer.viewer({"": folder}), []
-    except Exception as error:  # with unreadable fields there is still a page
-        return "", [f"note: no view in three dimensions: {type(error).__name__}: {error}"]
 
 
 def _facts(folder: Path, record: Json) -> str:
@@ -451,7 +440,7 @@ def _tables(summary: Summary, all_parts: bool, spread: InputSpread | None = None
         rows = []
         for q in shown_quantities:
             number_texts = [q.text(numbers) for numbers in by_owner.values()]
-            rows.append([_label(q), *number_texts])
+            rows.append([with_brackets(q.label, printed(q.shown)), *number_texts])
         if spread:
             rows = []
             for q in shown_quantities:
@@ -464,11 +453,6 @@ def _tables(summary: Summary, all_parts: bool, spread: InputSpread | None = None
         if section == "thermal.regions" and not all_parts and not spread:
             blocks += page.titled("Dead bone", _necrosis(by_owner))
     return blocks
-
-
-def _label(q: Quantity) -> str:
-    unit = printed(q.shown)
-    return f"{q.label} ({unit})" if unit else q.label
 
 
 def _unsettled(summary: Summary) -> tuple[list[str], list[list[str]]]:

@@ -9,8 +9,8 @@ from fractions import Fraction
 from itertools import chain
 
 from app.case import keys, quantities
-from app.report.sweep_results import SweptCase, by_part, magnitude, named
-from app.schema.units import NUMBER, conversion
+from app.report.sweep_results import SweptCase, by_part, named
+from app.schema.units import conversion, number_and_unit
 
 # Abscissa in place of keys of the geometry: mean thickness of the cement mantle they result in.
 ACHIEVED = "geometry.achieved_mean_thickness"
@@ -61,20 +61,19 @@ def levels_of(cases: Sequence[SweptCase], key: str) -> tuple[str, list[float | N
     """
     if key == ACHIEVED:
         return "mm", [mantle_thickness(c).get("mean") for c in cases]
-    values = [c.overrides.get(key) for c in cases]
-    numbers = [magnitude(v) for v in values]
-    matches = [NUMBER.fullmatch(str(v)) if v is not None else None for v in values]
-    written_units = {match[2] for match in matches if match}
+    levels = [number_and_unit(c.overrides.get(key)) for c in cases]
+    numbers = [level[0] if level else None for level in levels]
+    written_units = {level[1] for level in levels if level}
     unit = written_units.pop() if len(written_units) == 1 else None
     if unit:
         return quantities.printed(unit), numbers
     schema_unit = keys.internal_unit(key)
-    for k, match in enumerate(matches):
-        if match and match[2]:
+    for k, level in enumerate(levels):
+        if level and level[1]:
             numbers[k] = None
             with suppress(LookupError, ValueError):  # the key has no unit
-                slope, offset = conversion(match[2], schema_unit)
-                numbers[k] = float(Fraction(match[1]) * slope + offset)
+                slope, offset = conversion(level[1], schema_unit)
+                numbers[k] = float(Fraction(str(level[0])) * slope + offset)
     return quantities.printed(schema_unit), numbers
 
 

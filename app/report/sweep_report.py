@@ -7,13 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from app.campaigns import uncertainty
-from app.foundation.errors import StoppedError
 from app.foundation.layout import duration, noted
 from app.report import gruen, lead, page, pictures, sweep_figures, sweep_tables
 from app.report.page import Block, PageSection, bullets, table
 from app.report.sweep_results import STATUSES, SweepResults, SweptCase, by_part, headlines, read
 from app.report.viewer import viewer
-from app.system.folders import remove, write_text
+from app.system.folders import remove, write_text, writing
 
 # Name of the page in the folder of a sweep.
 PAGE = "report.html"
@@ -33,7 +32,7 @@ def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
     sweep = read(folder)
     chosen_cases = pictures.ends(sweep)
     drawings = folder / PICTURES
-    try:
+    with writing(folder):
         drawings.mkdir(exist_ok=True)
         remove(old_file for pattern in OURS for old_file in drawings.glob(pattern))
         curves, curve_files = sweep_figures.draw_over_keys(sweep.on_axes, drawings)
@@ -70,9 +69,6 @@ def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
             view=viewer({name: case.folder for name, case in chosen_cases[:2]}),
         )
         write_text(folder / PAGE, html)
-    except OSError as error:
-        message = f"cannot write {error.filename or f'the report in {folder}'}: {error.strerror}"
-        raise StoppedError(message) from error
     figures = page.files((*mapped, *shields), drawings)
     return [folder / PAGE, *figures, *curve_files], sweep.cases
 

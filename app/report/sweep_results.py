@@ -19,8 +19,8 @@ from app.foundation.layout import two_digits
 from app.plots.curves import ROUNDED
 from app.results.reading import PathTable, Results
 from app.results.verdicts import UNUSABLE
-from app.schema.units import NUMBER
-from app.system.folders import read_json
+from app.schema.units import number_and_unit
+from app.system.folders import read_json, reading
 
 INTERFACES = ("cement_bone", "stem_cement", "stem_bone")
 # Of each contact quantity: the percentile that converges, its unit for people, factor, words.
@@ -66,6 +66,10 @@ class Number:
         if places > 5:
             return f"{self.value:.6g} ± {self.error:.1g}"
         return f"{self.value:.{places}f} ± {self.error:.{places}f}"
+
+    def text(self, rounding: float) -> str:
+        """The number; 0 if it is far below a difference that counts as rounding."""
+        return "0" if abs(self.value) < 0.01 * rounding else str(self)
 
     @property
     def marked(self) -> str:
@@ -130,7 +134,7 @@ class SweptCase:
     @cached_property
     def step_record(self) -> dict[str, Floats]:
         """Columns of history.csv by their titles; nan where there is no value; may be empty."""
-        with suppress(OSError, IndexError):
+        with suppress(OSError):
             return Results(self.folder).step_record
         return {}
 
@@ -186,19 +190,17 @@ def read(folder: Path) -> SweepResults:
         InputError: The file is missing or cannot be read.
     """
     path = folder / "sweep.json"
-    try:
+    if not path.exists():
+        problem = "has no sweep.json" if folder.is_dir() else "no such folder"
+        raise InputError(
+            f"{folder}: {problem}; expected a folder written by mantle run, sweep or fit"
+        )
+    with reading(path):
         record = read_json(path)
         cases = [_case(entry, folder) for entry in record["cases"]]
         given_fields: Json = {
             f.name: record[f.name] for f in fields(SweepResults) if record.get(f.name)
         }
-    except FileNotFoundError:
-        problem = "has no sweep.json" if folder.is_dir() else "no such folder"
-        raise InputError(
-            f"{folder}: {problem}; expected a folder written by mantle run, sweep or fit"
-        ) from None
-    except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{path}: cannot be read: {error!r}") from error
     if not cases:
         raise InputError(f"{path}: has no cases")
     given_fields |= {
@@ -233,12 +235,8 @@ def named(name: str) -> str:
 
 def magnitude(value: object) -> float | None:
     """Number of a value with or without a unit (``4.0 mm``); None if it has none."""
-    if isinstance(value, bool) or value is None:
-        return None
-    if isinstance(value, int | float):
-        return float(value)
-    match = NUMBER.fullmatch(value) if isinstance(value, str) else None
-    return float(match[1]) if match else None
+    parts = number_and_unit(value)
+    return parts[0] if parts else None
 
 
 def headlines(cases: Sequence[SweptCase]) -> list[str]:

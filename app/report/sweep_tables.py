@@ -108,9 +108,9 @@ def _link(path: Path, folder: Path) -> str:
 def number_text(case: SweptCase, name: str) -> str:
     """Return a number of a case with its error as text; 0 if it is rounding."""
     q, n = quantities.quantity_of(name), case.number(name)
-    if n is None or q is None:
-        return "-" if n is None else str(n)
-    return str(n) if abs(n.value) > 0.01 * 10.0**-q.digits else "0"
+    if n is None:
+        return "-"
+    return n.text(10.0**-q.digits if q else 0.0)
 
 
 def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[tuple[str, list[str]]]]:

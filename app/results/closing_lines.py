@@ -1,4 +1,4 @@
-"""Log of a run: lines of steps, closing tables, verdicts and main results.
+"""End of the log of a run: closing tables, verdicts and main results.
 
 Messages are written by `logging`, on rank 0 only.
 """
@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping
 
 from app.case.quantities import ADDED, NECROSIS, NOT_RESOLVED, TABLE, numbers_of
 from app.case.summary import Numbers, Summary, name_of_implant
@@ -17,53 +16,7 @@ from app.foundation.verdict import Severity, recorded
 from app.results.cycles import sentences
 from app.results.verdicts import ERRORS
 
-if TYPE_CHECKING:
-    from app.stepping.heat_state import HeatStep
-    from app.stepping.load_steps import LoadStep
-
-
 log = logging.getLogger("mantle")
-
-# Columns of the lines of steps and of heat steps, with their widths.
-STEP = {"step": 4, "time": 7, "newton": 6, "krylov": 6, "residual": 9}
-STEP |= {"open": 6, "slip": 6, "penetration": 12, "elapsed": 9, "left": 9}
-HEAT_COLUMNS = {"step": 4, "time": 11, "step of": 10, "newton": 6, "krylov": 6}
-HEAT_COLUMNS |= {"hottest": 10, "balance": 9, "elapsed": 9}
-
-
-def aligned_line(columns: Mapping[str, int], texts: Iterable[object]) -> str:
-    """Return a line of right-aligned texts, one for each column with its width."""
-    return " ".join(f"{t:>{width}}" for t, width in zip(texts, columns.values(), strict=True))
-
-
-def step_line(
-    step: LoadStep, fractions: Sequence[float], penetration: float, wall: float, time_left: float
-) -> str:
-    """Return the line of a converged step.
-
-    Args:
-        step: The step.
-        fractions: Open and slipping fractions of the contact area [-].
-        penetration: Largest penetration [mm].
-        wall: Wall time since the run began [s].
-        time_left: Estimated time to the end [s].
-    """
-    outcome = step.outcome
-    effort = (outcome.iterations, outcome.linear_iterations, f"{outcome.residuals[-1]:.1e}")
-    states = (*(f"{100 * fraction:.1f}%" for fraction in fractions), f"{penetration:.1e} mm")
-    times = (f"{wall:.1f} s", f"{time_left:.1f} s")
-    return aligned_line(STEP, (step.number, f"{step.time:.4g}", *effort, *states, *times))
-
-
-def heat_line(number: int, heat_step: HeatStep, row: dict[str, float], wall: float) -> str:
-    """Return the line of an accepted heat step; ``wall`` is the time since the run began [s]."""
-    hottest = max(v for k, v in row.items() if k.endswith("temperature_max [degC]"))
-    outcome = heat_step.outcome
-    times = (f"{heat_step.seconds:.4g} s", f"{heat_step.dt:.3g} s")
-    state = (f"{hottest:.1f} degC", f"{row['heat balance [-]']:.1e}", f"{wall:.1f} s")
-    return aligned_line(
-        HEAT_COLUMNS, (number, *times, outcome.iterations, outcome.linear_iterations, *state)
-    )
 
 
 def log_closing_lines(summary: Summary, table: bool = True) -> None:

@@ -51,6 +51,7 @@ from app.case.quantities import (
     ORDER_OF_STRESS,
     ORDER_OF_TRACTION,
     TABLE,
+    Quantity,
     numbers_of,
 )
 from app.case.summary import Numbers, Summary
@@ -64,6 +65,8 @@ TOLERANCE_POWER = {"sdirk4": 1.0, "backward_euler": 2.0}
 # A peak is unsettled if it changes by more than this fraction between the run and the next coarser
 # mesh.
 UNSETTLED = 0.1
+# Fraction of the largest number of its unit to which errors of smaller numbers are relative.
+NEGLIGIBLE = 0.1
 # A number is rounding below this fraction of the largest number of its unit.
 ROUNDING_OF_NUMBERS = 1e-6
 # Below this fraction it is zero if it changes from mesh to mesh by at least its size.
@@ -180,6 +183,45 @@ Others = Sequence[tuple[Companion, Numbers]]
 ErrorValue = float | list[float]
 
 
+@dataclass(frozen=True)
+class _Table:
+    """Numbers of an interface, a region or another owner.
+
+    Attributes:
+        section: Section of the summary.
+        name: The owner.
+        numbers: Its numbers in the run.
+        others: Its numbers in the companions.
+        of_part: True for a part, such as a rim.
+    """
+
+    section: str
+    name: str
+    numbers: Numbers
+    others: Others
+    of_part: bool
+
+    @property
+    def quantities(self) -> list[Quantity]:
+        """Quantities that it has in the run."""
+        return [q for q in TABLE[self.section].values() if self.numbers.get(q.key) is not None]
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """A number or vector in the run or a companion.
+
+    Attributes:
+        coarsening: Mesh size over that of the run [-].
+        steps: Steps over those of the run [-].
+        value: The number.
+    """
+
+    coarsening: float
+    steps: float
+    value: Floats
+
+
 def companions(case: Case) -> tuple[Companion, ...]:
     """Companion runs that the error estimate of a case needs; none unless it asks for one.
 
@@ -246,61 +288,85 @@ def add_error_estimates(run: Summary, case: Case, solved: Solved) -> dict[str, l
         largest change first. Each has pairs of mesh size [mm] and value, the finest mesh first.
     """
     degree_index = case.mesh.order - 1
-    unsettled: list[tuple[float, str, list[list[float]]]] = []
-    estimated_numbers: list[Estimated] = []
-    tables = list(numbers_of(run, parts=True))
-    companions_by_owner = [
-        (companion, {(s, n): q for s, n, q in numbers_of(companion_summary, parts=True)})
-        for companion, companion_summary in solved
-    ]
-    run_numbers = {(section, name) for section, name, _ in numbers_of(run)}
-    largest_peak: dict[str, float] = {}
-    for section, _, numbers in tables:
-        for k, q in TABLE[section].items():
-            if q.peak and k in numbers:
-                kind = _peak_kind(k)
-                largest_peak[kind] = max(largest_peak.get(kind, 0.0), abs(numbers[k]))
-    largest = largest_of_units(run)
-    for section, name, numbers in tables:
-        companion_numbers = [
-            (companion, numbers_by_owner.get((section, name), {}))
-            for companion, numbers_by_owner in companions_by_owner
-        ]
-        available = [q for k, q in TABLE[section].items() if numbers.get(k) is not None]
-        _add_errors(
-            numbers, {q.key: q.order for q in available if q.order}, degree_index, companion_numbers
-        )
-        for q in available if section in SECTIONS_WITH_MEDIAN or section in ADDED else ():
-            error, value = numbers.get(f"{q.key}_error"), numbers[q.key]
-            if error is None or q.vector or q.order not in ERROR_FACTORS or not value:
-                continue
-            estimated = Estimated(
-                numbers,
-                f"{q.key}_error",
-                q.order,
-                abs(value),
-                of_part=(section, name) not in run_numbers,
-                in_median=section != OUTSIDE_MEDIAN,
-            )
-            if not is_zero(value, estimated.change(degree_index) * abs(value), largest[q.unit]):
-                estimated_numbers.append(estimated)
-        for q in available:
-            if not q.peak:
-                continue
-            values = _values_on_meshes(q.key, numbers, case, companion_numbers)
-            # The value of the run itself if there is no coarser mesh.
-            coarser_value = values[min(1, len(values) - 1)][1]
-            change = _unsettled_change(
-                values[0][1], coarser_value, largest_peak[_peak_kind(q.key)], largest[q.unit]
-            )
-            if change is not None:
-                unsettled.append((change, f"{name}.{q.key}", values))
+    tables = _tables_with_companions(run, solved)
+    for table in tables:
+        orders = {q.key: q.order for q in table.quantities if q.order}
+        _add_errors(table.numbers, orders, degree_index, table.others)
+    estimated_numbers = _estimated_numbers(run, tables, degree_index)
     estimated_numbers += _zone_errors(run, degree_index, solved)
     _raise_to_typical_errors(estimated_numbers, degree_index)
     if any(law.is_press_fit for law in case.interfaces.values()):
         for number in estimated_numbers:
             factors = FACTOR_OF_PRESS_FITS.get(number.orders, (1.0, 1.0))
             number.errors[number.key] *= factors[degree_index]
+    return _unsettled_peaks(run, tables, case)
+
+
+def _tables_with_companions(run: Summary, solved: Solved) -> list[_Table]:
+    """Return the tables of a run, each with the same table of its companions."""
+    tables_of_companions = [
+        (companion, {(section, name): q for section, name, q in numbers_of(summary, parts=True)})
+        for companion, summary in solved
+    ]
+    wholes = {(section, name) for section, name, _ in numbers_of(run)}
+    return [
+        _Table(
+            section,
+            name,
+            numbers,
+            others=[(c, tables.get((section, name), {})) for c, tables in tables_of_companions],
+            of_part=(section, name) not in wholes,
+        )
+        for section, name, numbers in numbers_of(run, parts=True)
+    ]
+
+
+def _estimated_numbers(
+    run: Summary, tables: Sequence[_Table], degree_index: int
+) -> list[Estimated]:
+    """Return the errors of a run that are compared with the typical one, without numbers of 0."""
+    largest = largest_of_units(run)
+    estimated_numbers: list[Estimated] = []
+    for table in tables:
+        if table.section not in SECTIONS_WITH_MEDIAN and table.section not in ADDED:
+            continue
+        for q in table.quantities:
+            error, value = table.numbers.get(f"{q.key}_error"), table.numbers[q.key]
+            if error is None or q.vector or q.order not in ERROR_FACTORS or not value:
+                continue
+            estimated = Estimated(
+                table.numbers,
+                f"{q.key}_error",
+                q.order,
+                abs(value),
+                of_part=table.of_part,
+                in_median=table.section != OUTSIDE_MEDIAN,
+            )
+            change = estimated.change(degree_index) * abs(value)
+            if not is_zero(value, change, largest[q.unit]):
+                estimated_numbers.append(estimated)
+    return estimated_numbers
+
+
+def _unsettled_peaks(
+    run: Summary, tables: Sequence[_Table], case: Case
+) -> dict[str, list[list[float]]]:
+    """Return maxima that still change with the mesh, as `add_error_estimates`."""
+    largest = largest_of_units(run)
+    peaks = [(table, q) for table in tables for q in table.quantities if q.peak]
+    largest_of_kind: dict[str, float] = {}
+    for table, q in peaks:
+        kind, value = _peak_kind(q.key), abs(table.numbers[q.key])
+        largest_of_kind[kind] = max(largest_of_kind.get(kind, 0.0), value)
+    unsettled: list[tuple[float, str, list[list[float]]]] = []
+    for table, q in peaks:
+        values = _values_on_meshes(q.key, table.numbers, case, table.others)
+        # The value of the run itself if there is no coarser mesh.
+        coarser_value = values[min(1, len(values) - 1)][1]
+        largest_peak = largest_of_kind[_peak_kind(q.key)]
+        change = _unsettled_change(values[0][1], coarser_value, largest_peak, largest[q.unit])
+        if change is not None:
+            unsettled.append((change, f"{table.name}.{q.key}", values))
     largest_first = sorted(unsettled, key=lambda peak: peak[0], reverse=True)
     return {name: values for _, name, values in largest_first}
 
@@ -362,6 +428,14 @@ def largest_of_units(summary: Summary) -> dict[str, float]:
     if "degC" in largest:
         largest["K"] = max(largest.get("K", 0.0), largest["degC"])
     return largest
+
+
+def reference_size(value: float, q: Quantity, largest: Mapping[str, float]) -> float:
+    """Return the size to which an error or a change of a number is relative.
+
+    It is the number itself, or `NEGLIGIBLE` of the largest number of its unit if that is larger.
+    """
+    return max(abs(value), NEGLIGIBLE * largest[q.unit])
 
 
 def is_zero(value: float, change: float, largest: float) -> bool:
@@ -473,50 +547,65 @@ def _values_on_meshes(
 def _error(
     key: str, orders: Orders, degree_index: int, run: Numbers, companion_numbers: Others
 ) -> ErrorValue | None:
-    """Error of one number or vector; None if it is unknown."""
-    convergence_order = orders[degree_index]
-    factor = (
-        ERROR_FACTORS[orders][degree_index][0]
-        if orders in ERROR_FACTORS
-        else 1 / (2**convergence_order - 1)
-    )
-    value = np.asarray(run[key])
-    values_on_meshes = [
-        (c.coarsening, c.steps, np.asarray(o[key]))
-        for c, o in companion_numbers
-        if o.get(key) is not None
+    """Error of one number or vector by the equations above; None if it is unknown."""
+    of_run = _Solution(1.0, 1.0, np.asarray(run[key]))
+    of_companions = [
+        _Solution(companion.coarsening, companion.steps, np.asarray(numbers[key]))
+        for companion, numbers in companion_numbers
+        if numbers.get(key) is not None
     ]
-    if not values_on_meshes:
+    if not of_companions:
         return None
-    # Two companions on one mesh give the error of the number of steps, C / n.
-    mesh, steps, finest_value = values_on_meshes[-1]
-    pairs = [
-        (s, o)
-        for c, s, o in [(1.0, 1.0, value), *values_on_meshes[:-1]]
-        if c == mesh and s != steps
+    # Two solutions on one mesh with different steps give C. One of them is the last companion.
+    last = of_companions[-1]
+    on_mesh_of_last = [
+        s
+        for s in (of_run, *of_companions[:-1])
+        if s.coarsening == last.coarsening and s.steps != last.steps
     ]
-    step_error_constant = sum((o - finest_value) / (1 / s - 1 / steps) for s, o in pairs)
-    coarser_values = [
-        k for k in values_on_meshes if k[0] > LEAST_COARSENING and (k[1] <= 1 or not pairs)
+    constant = np.zeros(last.value.shape)
+    for other in on_mesh_of_last[:1]:
+        constant += (other.value - last.value) / (1 / other.steps - 1 / last.steps)
+    # If C is known, a companion with more steps than the run serves for nothing else.
+    on_coarser_meshes = [
+        s
+        for s in of_companions
+        if s.coarsening > LEAST_COARSENING and (s.steps <= 1 or not on_mesh_of_last)
     ]
-    mesh_error: Floats | float = 0.0
-    if coarser_values:
+    error = np.abs(constant)
+    if on_coarser_meshes:
+        error = _mesh_error(of_run, on_coarser_meshes, constant, orders, degree_index) + error
+    return cast(ErrorValue, np.asarray(error).tolist())
 
-        def change(coarsening: float, steps: float, value_there: Floats) -> Floats:
-            """Return the change to another mesh without the effect of its steps, scaled to 2 h."""
-            without_steps = value_there - step_error_constant * (1 / steps - 1)
-            return (
-                abs(value - without_steps)
-                * (2**convergence_order - 1)
-                / (coarsening**convergence_order - 1)
-            )
 
-        finer = min(coarser_values, key=lambda k: k[0])
-        coarsest = max(coarser_values, key=lambda k: k[0])
-        mesh_error = factor * change(*finer)
-        if orders in FACTORS_OF_TWO_MESHES and coarsest[0] > finer[0]:
-            finer_factor, coarsest_factor = FACTORS_OF_TWO_MESHES[orders]
-            mesh_error = np.maximum(
-                finer_factor * change(*finer), coarsest_factor * change(*coarsest)
-            )
-    return cast(ErrorValue, np.asarray(mesh_error + abs(step_error_constant)).tolist())
+def _mesh_error(
+    of_run: _Solution,
+    on_coarser_meshes: Sequence[_Solution],
+    constant: Floats,
+    orders: Orders,
+    degree_index: int,
+) -> Floats:
+    """Error of the mesh.
+
+    Args:
+        of_run: The number of the run.
+        on_coarser_meshes: The number of the companions on coarser meshes, one or more.
+        constant: C of the error of the steps.
+        orders: Orders of convergence at first and second order.
+        degree_index: Polynomial order of the displacement less one.
+    """
+    order = orders[degree_index]
+
+    def change(other: _Solution) -> Floats:
+        """Return the change to another mesh without the effect of its steps, scaled to 2 h."""
+        without_steps = other.value - constant * (1 / other.steps - 1)
+        return abs(of_run.value - without_steps) * (2**order - 1) / (other.coarsening**order - 1)
+
+    finest = min(on_coarser_meshes, key=lambda s: s.coarsening)
+    coarsest = max(on_coarser_meshes, key=lambda s: s.coarsening)
+    if orders in FACTORS_OF_TWO_MESHES and coarsest.coarsening > finest.coarsening:
+        finest_factor, coarsest_factor = FACTORS_OF_TWO_MESHES[orders]
+        return np.maximum(finest_factor * change(finest), coarsest_factor * change(coarsest))
+    if orders in ERROR_FACTORS:
+        return ERROR_FACTORS[orders][degree_index][0] * change(finest)
+    return 1 / (2**order - 1) * change(finest)

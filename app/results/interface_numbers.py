@@ -62,10 +62,10 @@ def normal_pressure(pressures: Floats, normals: Floats) -> Floats:
 def least_friction(trial: TrialState) -> tuple[Floats, Floats]:
     """Return pressures of faces (n, 3) and friction (n, 3) of local points [MPa].
 
-    Where a point sticks on an edge with all faces closed, pressures and friction are not unique:
-    friction on one face can carry the pressure of another. These have the least friction. On an
-    edge with an elastic layer, friction is that along the edge, where the layer is elastic; the
-    layer is rigid along the normals of all faces.
+    At a point that sticks on an edge whose faces are all closed only the total force is known:
+    friction on one face may carry the pressure of another. Of all divisions this is the one with
+    the least friction. On an edge with an elastic layer, friction is that along the edge, where the
+    layer is elastic; the layer is rigid along the normals of all faces.
     """
     contact, law, normals = trial.contact, trial.forces, trial.contact.local.normals
     pressures, friction = law.pressures.copy(), contact.state.friction.copy()
@@ -278,15 +278,14 @@ class ContactSamples:
         }
 
     def _recovered_shares(self, i: int) -> dict[str, Floats | float]:
-        """Return the part of the recovered change of each traction of an interface that counts.
+        """Return the weight of the recovery's correction for each traction of an interface.
 
-        Forces of a rigid interface follow from equilibrium: a force over its area is a mean. In
-        springs that are softer than the bodies, the traction is the stiffness times the jump at the
-        point, and this is a point value. Between the two the part is that of two springs in
-        series, interface and bodies.
+        It is 1 for rigid contact, because a force over its area is a mean. It is nearly 0 for
+        springs softer than the bodies: stiffness times jump is a point value. Between them it is
+        that of two springs in series, interface and bodies.
 
         Returns:
-            Parts [-] (n, 1), by the name of the traction; 1 without springs.
+            Weights [-] (n, 1), by the name of the traction.
         """
         stiffnesses = self.interfaces[i].law.spring_stiffness
         if stiffnesses is None:

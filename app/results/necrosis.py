@@ -14,13 +14,12 @@ from functools import partial
 
 import numpy as np
 
+from app.case.summary import TEMPERATURE_LEVELS
 from app.foundation.arrays import Floats
 from app.results.over_time import Measure
 
 # Temperature at 0 degC [K].
 CELSIUS = 273.15
-# Temperatures above which time and volume are reported [degC].
-TEMPERATURE_LEVELS = (47.0, 50.0, 56.0)
 # Bone dies after a minute at 47 degC (Eriksson & Albrektsson 1983, J Prosthet Dent 50). The minute
 # may be the sum of several exposures: bone does not recover between them.
 MINUTE = 60.0
@@ -112,10 +111,7 @@ def _antiderivative(temperature: Floats) -> Floats:
 # Integrals over time in bone and cement: seconds at or above each of `TEMPERATURE_LEVELS`,
 # equivalent minutes at 43 degC, and the damage integral.
 DOSES: dict[str, Measure] = {
-    **{
-        f"seconds_over_{level:g}": partial(seconds_over, level=level)
-        for level in TEMPERATURE_LEVELS
-    },
+    **{f"seconds_over_{level}": partial(seconds_over, level=level) for level in TEMPERATURE_LEVELS},
     "cem43": cem43,
     "henriques_moritz": henriques_moritz,
 }

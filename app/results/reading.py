@@ -78,12 +78,7 @@ class Results:
     @cached_property
     def step_record(self) -> dict[str, Floats]:
         """Columns of history.csv, by their titles with units; nan where there is no value."""
-        with (self.folder / "history.csv").open(encoding="utf-8", newline="") as file:
-            rows = list(csv.DictReader(file))
-        columns = {}
-        for key in rows[0]:
-            columns[key] = np.array([float(row[key] or "nan") for row in rows])
-        return columns
+        return _columns(self.folder / "history.csv")
 
     @cached_property
     def fields(self) -> Run:
@@ -104,24 +99,26 @@ class Results:
     @cached_property
     def paths(self) -> dict[str, PathTable]:
         """Fields along the paths by their names: columns by their titles; nan outside bodies."""
-        tables = {}
-        for name, file in path_files(self.folder).items():
-            with file.open(encoding="utf-8", newline="") as opened_file:
-                rows = list(csv.DictReader(opened_file))
-            columns = {}
-            for key in rows[0] if rows else ():
-                if key == "region":
-                    columns[key] = np.array([row[key] for row in rows])
-                else:
-                    columns[key] = np.array([float(row[key] or "nan") for row in rows])
-            tables[name] = columns
-        return tables
+        return {name: _columns(file) for name, file in path_files(self.folder).items()}
 
     @property
     def log(self) -> str:
         """Log of the run; empty if there is no log next to the directory."""
         path = self.folder.with_name(f"{self.folder.name}.log")
         return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
+
+
+def _columns(file: Path) -> dict[str, NDArray[Any]]:
+    """Columns of a CSV file by their titles: names of regions, else numbers; nan where empty."""
+    with file.open(encoding="utf-8", newline="") as opened_file:
+        rows = list(csv.DictReader(opened_file))
+    columns: dict[str, NDArray[Any]] = {}
+    for key in rows[0] if rows else ():
+        if key == "region":
+            columns[key] = np.array([row[key] for row in rows])
+        else:
+            columns[key] = np.array([float(row[key] or "nan") for row in rows])
+    return columns
 
 
 class Run(Results):

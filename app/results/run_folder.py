@@ -9,8 +9,7 @@ from __future__ import annotations
 import logging
 import platform
 import time as clock
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cache
 from importlib import metadata
@@ -24,7 +23,6 @@ from app.case import quantities
 from app.case.summary import Summary
 from app.foundation import files
 from app.foundation.collective import on_root
-from app.foundation.errors import StoppedError
 from app.results.field_output import FieldGroup, Fields
 from app.results.interface_numbers import ContactSamples
 from app.results.path_tables import PathTables
@@ -38,6 +36,7 @@ from app.system.folders import (
     saved,
     write_json,
     write_text,
+    writing,
 )
 from meshes.distribute import TaggedMesh
 
@@ -49,21 +48,11 @@ PACKAGES = "fenics-dolfinx petsc4py fenics-ufl fenics-basix mpi4py numpy h5py".s
 log = logging.getLogger("mantle")
 
 
-@contextmanager
-def _full_disk(action_text: str) -> Iterator[None]:
-    """Turn a failed write into a `StoppedError`."""
-    try:
-        yield
-    except OSError as error:
-        file = error.filename or action_text
-        raise StoppedError(f"cannot write {file}: {error.strerror or error}") from error
-
-
-def _write(comm: MPI.Comm, action: Callable[[], None], action_text: str) -> None:
+def _write(comm: MPI.Comm, action: Callable[[], None], what: str) -> None:
     """Write on rank 0; a full disk or a missing permission stops every rank."""
 
     def guarded() -> None:
-        with _full_disk(action_text):
+        with writing(what):
             action()
 
     on_root(comm, guarded, share=False)
@@ -157,7 +146,7 @@ class Writer:
     def _begin(self) -> None:
         self.field_steps = 0
         if self.fields:
-            with _full_disk("fields.vtkhdf"):
+            with writing("fields.vtkhdf"):
                 self.fields.open()
 
     def restored(self) -> None:
@@ -188,7 +177,7 @@ class Writer:
             self.paths.add(step, time, seconds, samples)
             self._path_tables(OFTEN)
         if self.fields:
-            with _full_disk("fields.vtkhdf"):
+            with writing("fields.vtkhdf"):
                 self.fields.write(time, samples)
             self.field_steps += 1
 

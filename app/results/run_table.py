@@ -79,19 +79,13 @@ def row(point: Point, summary: Summary, status: str, seconds: float) -> RunRow:
         seconds: Wall time.
     """
     solver = summary.get("solver", {})
-    # Main numbers of the run, named as in a study.
-    numbers = {}
-    for section, owner, values in quantities.numbers_of(summary):
-        for key, q in quantities.TABLE[section].items():
-            if q.headline and key in values:
-                numbers[f"{owner}.{key}"] = values[key]
-    errors = {name: quantities.read(summary, name, "_error") for name in numbers}
+    numbers = list(quantities.main_numbers(summary))
     return {
         "name": point.name,
         "overrides": point.changes,
         "status": status,
-        "numbers": numbers,
-        "errors": {name: error for name, error in errors.items() if error is not None},
+        "numbers": {name: value for name, _, value, _ in numbers},
+        "errors": {name: error for name, _, _, error in numbers if error is not None},
         "notes": notes_of(summary),
         "unknowns": solver.get("dofs"),
         "newton_iterations": solver.get("newton_iterations"),

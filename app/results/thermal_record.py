@@ -16,14 +16,14 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem
 
-from app.case.summary import Numbers, ThermalNumbers
+from app.case.summary import TEMPERATURE_LEVELS, Numbers, ThermalNumbers
 from app.foundation.arrays import Bools, Floats, Ints
 from app.heat.heat_forms import HeatForms
 from app.heat.nodes import InterfaceNodes, ProbePoint, Probes, Side, ThermalNodes, region_nodes
 from app.heat.operators import HeatOperators
 from app.numerics.saved_state import node_keys
 from app.results.level_sets import RegionCells
-from app.results.necrosis import CELSIUS, COUNTS_FROM, DOSES, TEMPERATURE_LEVELS, death_levels
+from app.results.necrosis import CELSIUS, COUNTS_FROM, DOSES, death_levels
 from app.results.over_time import (
     Integrals,
     Maximum,
@@ -137,12 +137,12 @@ class RegionTemperatures:
         }
         for level in TEMPERATURE_LEVELS:
             excess = self.peak.value - CELSIUS - level
-            numbers[f"volume_over_{level:g}"] = cells.volume(nodes.dof, excess)
+            numbers[f"volume_over_{level}"] = cells.volume(nodes.dof, excess)
         return numbers
 
     def times(self, comm: MPI.Comm) -> dict[str, float]:
         """Return the longest time of a node above each level [s]; collective."""
-        keys = [f"seconds_over_{level:g}" for level in TEMPERATURE_LEVELS]
+        keys = [f"seconds_over_{level}" for level in TEMPERATURE_LEVELS]
         return maxima(comm, {key: self.doses.totals[key] for key in keys})
 
     def necrosis(self, comm: MPI.Comm, cells: RegionCells, surface: Floats) -> dict[str, float]:

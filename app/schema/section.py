@@ -8,6 +8,7 @@ import inspect
 import re
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import count, pairwise, takewhile
@@ -206,6 +207,24 @@ def fail(text: str, at: Path = ()) -> NoReturn:
         PydanticCustomError: Always.
     """
     raise _defect(text, at)
+
+
+def text_of_defect(error: PydanticCustomError) -> str:
+    """Text of a defect that `fail` reported."""
+    return str((error.context or {})["text"])
+
+
+@contextmanager
+def defects_at(path: Path) -> Iterator[None]:
+    """Place the defect of a value at its path below the value under validation.
+
+    Raises:
+        PydanticCustomError: There is a defect.
+    """
+    try:
+        yield
+    except PydanticCustomError as error:
+        fail(text_of_defect(error), at=path)
 
 
 def show(value: object) -> str:

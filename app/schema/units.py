@@ -55,6 +55,14 @@ SUGGESTIONS = (
 ).split()
 
 
+def number_and_unit(value: object) -> tuple[float, str] | None:
+    """Number and unit of a value such as ``4.0 mm`` or 0.3; None if it has no number."""
+    if isinstance(value, bool) or not isinstance(value, str | int | float):
+        return None
+    match = NUMBER.fullmatch(str(value))
+    return (float(match[1]), match[2]) if match else None
+
+
 @lru_cache(maxsize=1)
 def registry() -> Any:
     """The unit registry of pint, in rational arithmetic."""

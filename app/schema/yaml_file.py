@@ -173,48 +173,56 @@ class CaseFile:
         if fault.place == "":
             return LAST, verdict
         path = self._given_path(fault.path)
+        text, place = self._explained(fault, path)
         key = path_text(path)
-        steps = (path[:n] for n in range(len(path) + 1))
-        above = [self.places[p] for p in steps if p in self.places]
-        place = fault.place or [(self.name, 1, 1), *above][-1]
-        kinds = [self.places.get((*p, "kind")) for p in (path[:-1], path)]
-        option = next((kind for kind in kinds if isinstance(kind, str)), None)
-        if option and not isinstance(place, str):
-            # An option changed the kind of a section of the file, whose other keys stay.
-            section = option.rpartition(".")[0]
-            change = f"; {self.option}'{section}={{kind: ...}}' replaces the whole section"
-            place = option
-            verdict = replace(verdict, what=printable(fault.text + change))
-        if not (fault.place or isinstance(place, str)):
-            overrides = self._overrides_beside(path)
-            changes = [f"{self.option}{override}" for override in overrides]
-            if place[0] != self.name:
-                changes += self._changes_of_base(path)
-            if changes and path in self.places:
-                question = f"; does it fit {', '.join(changes)}?"
-                verdict = replace(verdict, what=printable(fault.text + question))
-            elif overrides:
-                # No file gives the value, but an option gave another one that does not fit.
-                place = overrides[-1]
-            elif place[0] != self.name:
-                text = fault.text
-                if fault.path == path and len(path) == 2 and text.startswith(NOT_IN_GEOMETRY):
-                    text += f"; remove it by `{path[0]}: {{{path[1]}: null}}`"
-                causes = self._causes(text)
-                question = f"; does it fit {', '.join(causes)}?" if causes else ""
-                verdict = replace(verdict, what=printable(text + question))
         of_key = f": {key}" if key and key != place else ""
         if isinstance(place, str):
             if fault.section:
                 # There are no lines to indent.
                 full_key = path_text((*path[:-1], fault.section, path[-1]))
-                verdict = replace(verdict, what=printable(f"unknown key; expected {full_key}"))
-            location = f"{self.option}{path_text((place,))}{of_key}"
-            return LAST, replace(verdict, where=printable(location))
+                text = f"unknown key; expected {full_key}"
+            where = f"{self.option}{path_text((place,))}{of_key}"
+            return LAST, replace(verdict, what=printable(text), where=where)
         file, line, column = place
+        where = printable(f"{file}:{line}:{column}{of_key}")
         order = [self.name, *self.digests].index(file)
-        location = printable(f"{file}:{line}:{column}{of_key}")
-        return (order, line, column), replace(verdict, where=location)
+        return (order, line, column), replace(verdict, what=printable(text), where=where)
+
+    def _explained(self, fault: Fault, path: Path) -> tuple[str, Place]:
+        """Text of a fault with its likely cause, and its place: in a file, or key of an option."""
+        place = fault.place or self._nearest_place(path)
+        if isinstance(place, str):
+            return fault.text, place
+        kinds = [self.places.get((*p, "kind")) for p in (path[:-1], path)]
+        option = next((kind for kind in kinds if isinstance(kind, str)), None)
+        if option:
+            # An option changed the kind of a section of the file, whose other keys stay.
+            section = option.rpartition(".")[0]
+            change = f"{self.option}'{section}={{kind: ...}}' replaces the whole section"
+            return f"{fault.text}; {change}", option
+        if fault.place:
+            return fault.text, place
+        is_in_base = place[0] != self.name
+        options = self._overrides_beside(path)
+        changes = [f"{self.option}{key}" for key in options]
+        if is_in_base:
+            changes += self._changes_of_base(path)
+        if changes and path in self.places:
+            return fault.text + _question(changes), place
+        if options:
+            # No file gives the value, but an option gave another one that does not fit.
+            return fault.text, options[-1]
+        text = fault.text
+        if is_in_base:
+            if fault.path == path and len(path) == 2 and text.startswith(NOT_IN_GEOMETRY):
+                text += f"; remove it by `{path[0]}: {{{path[1]}: null}}`"
+            text += _question(self._causes(text))
+        return text, place
+
+    def _nearest_place(self, path: Path) -> Place:
+        """Place of a value, else of the nearest section above it, else the start of the file."""
+        above = (path[:n] for n in range(len(path), -1, -1))
+        return next((self.places[p] for p in above if p in self.places), (self.name, 1, 1))
 
     def _overrides_beside(self, path: Path) -> list[str]:
         """Keys of the overrides of the section that has a path."""
@@ -273,6 +281,11 @@ class CaseFile:
             if path[:n] in self.common:
                 return (*self.common[path[:n]], *path[n:])
         return path
+
+
+def _question(causes: Sequence[str]) -> str:
+    """Question at the end of a message whether a value fits its likely causes."""
+    return f"; does it fit {', '.join(causes)}?" if causes else ""
 
 
 def _named_depth(path: Path, words: Sequence[str]) -> int:
@@ -415,10 +428,12 @@ def _start(node: Node) -> tuple[int, int]:
 
 @dataclass
 class Reader:
-    """Converts nodes to data; gives a file the place of each value, or of its key.
+    """Converter of YAML nodes to data, which records in a file where each value stands.
+
+    A value stands at a line and column of the file, or in the option that gave it.
 
     Attributes:
-        option: Key of the option that has the text; empty if the file has it.
+        option: Key of this option; empty for a file.
     """
 
     file: CaseFile

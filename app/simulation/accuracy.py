@@ -17,13 +17,12 @@ from collections.abc import Callable, Sequence
 from mpi4py import MPI
 
 from app.case.case import Case
-from app.case.quantities import TABLE, label_and_unit
+from app.case.quantities import label_and_unit, main_numbers
 from app.case.summary import EstimatedErrors, Summary
-from app.foundation.collective import agree
-from app.foundation.errors import ConvergenceError, GeometryError, StoppedError
+from app.foundation.errors import ConvergenceError, StoppedError
 from app.foundation.layout import duration, percent
 from app.results import error_estimate
-from app.results.error_estimate import Companion, Orders, is_zero, largest_of_units
+from app.results.error_estimate import Companion, Orders, is_zero, largest_of_units, reference_size
 from app.simulation.model import Model
 from app.soundness import cost, memory
 from app.system.timing import Timing
@@ -36,8 +35,6 @@ FINER = 1.1
 MEMORY = 1.5
 # Longest time of a run over the estimated time.
 TIME = 2.0
-# A number counts as at least this fraction of the largest number of the same unit.
-NEGLIGIBLE = 0.1
 
 
 def add_errors(
@@ -58,15 +55,13 @@ def add_errors(
     for companion in companions:
         start_time = clock.perf_counter()
         try:
-            numbers = model.numbers_of_companion(companion.case)
-        except (ConvergenceError, GeometryError) as failure:
-            agree(model.tagged.mesh.comm, failure)
-            reason = str(failure).splitlines()[0]
+            numbers, reason = model.numbers_or_reason(companion.case)
+        except StoppedError as stop:
+            raise StoppedError(f"{stop}, in its companions") from stop
+        if numbers is None:
             log.warning("error estimate: the companion run on %s failed: %s", companion, reason)
             failed_companions.append(str(companion))
             continue
-        except StoppedError as stop:
-            raise StoppedError(f"{stop}, in its companions") from stop
         solved.append((companion, numbers))
         seconds = clock.perf_counter() - start_time
         log.info("     error estimate: companion run on %s in %.1f s", companion, seconds)
@@ -178,15 +173,12 @@ def relative_errors(summary: Summary) -> list[tuple[float, str, Orders]]:
     """Relative error, name and orders of each headline number of the interfaces."""
     largest = largest_of_units(summary)
     errors: list[tuple[float, str, Orders]] = []
-    for interface, numbers in summary["interfaces"].items():
-        for key, q in TABLE["interfaces"].items():
-            error = numbers.get(f"{key}_error")
-            if not q.headline or not q.order or error is None:
-                continue
-            value = abs(numbers[key])
-            size = max(value, NEGLIGIBLE * largest[q.unit])
-            if size and not is_zero(value, error, largest[q.unit]):
-                errors.append((error / size, f"{interface}.{key}", q.order))
+    for name, q, value, error in main_numbers(summary):
+        if q.section != "interfaces" or not q.order or error is None:
+            continue
+        size = reference_size(value, q, largest)
+        if size and not is_zero(value, error, largest[q.unit]):
+            errors.append((error / size, name, q.order))
     return errors
 
 

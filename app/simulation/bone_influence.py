@@ -10,20 +10,16 @@ from __future__ import annotations
 import logging
 
 from app.case.case import Case
-from app.case.quantities import TABLE, numbers_of
+from app.case.quantities import main_numbers
 from app.case.summary import BoneInfluence, Summary
-from app.foundation.collective import agree
-from app.foundation.errors import ConvergenceError, GeometryError
 from app.foundation.layout import percent
-from app.results.error_estimate import largest_of_units
+from app.results.error_estimate import largest_of_units, reference_size
 from app.simulation.model import Model
 
 log = logging.getLogger("mantle")
 
 # Mesh size of the companions over that of the run.
 COARSENING_OF_COMPANIONS = 2.0
-# Fraction of the largest number of its unit below which the change of a number is not reported.
-NEGLIGIBLE = 0.1
 
 
 def bone_influence(case: Case, model: Model) -> BoneInfluence | None:
@@ -44,14 +40,14 @@ def bone_influence(case: Case, model: Model) -> BoneInfluence | None:
         case.model_copy(update={"mesh": mesh, "geometry": g})
         for g in (geometry, *other_bones.values())
     ]
-    try:
-        numbers_as_run, *numbers_of_others = [
-            model.numbers_of_companion(each) for each in companions
-        ]
-    except (ConvergenceError, GeometryError) as failure:
-        agree(model.tagged.mesh.comm, failure)
-        log.warning("assumed bone: its influence is unknown: %s", str(failure).splitlines()[0])
-        return None
+    solved = list[Summary]()
+    for companion in companions:
+        numbers, reason = model.numbers_or_reason(companion)
+        if numbers is None:
+            log.warning("assumed bone: its influence is unknown: %s", reason)
+            return None
+        solved.append(numbers)
+    numbers_as_run, *numbers_of_others = solved
     changes = dict[str, dict[str, list[float]]]()
     changes_in_words = list[str]()
     for difference, numbers in zip(other_bones, numbers_of_others, strict=True):
@@ -68,23 +64,15 @@ def bone_influence(case: Case, model: Model) -> BoneInfluence | None:
 def _changes(first: Summary, second: Summary) -> tuple[dict[str, list[float]], str]:
     """Return main numbers of both companions by name, and the largest change in words."""
     largest = largest_of_units(first)
-    numbers_of_second = {(section, name): numbers for section, name, numbers in numbers_of(second)}
+    values_of_second = {name: value for name, _, value, _ in main_numbers(second)}
     numbers_of_both = dict[str, list[float]]()
     relative = dict[str, float]()
-    for section, name, numbers in numbers_of(first):
-        for key, quantity in TABLE[section].items():
-            first_value = numbers.get(key)
-            second_value = numbers_of_second.get((section, name), {}).get(key)
-            if (
-                not (quantity.headline and quantity.order)
-                or first_value is None
-                or second_value is None
-            ):
-                continue
-            full_name = f"{name}.{key}"
-            numbers_of_both[full_name] = [first_value, second_value]
-            size = max(abs(first_value), NEGLIGIBLE * largest[quantity.unit])
-            relative[full_name] = abs(second_value - first_value) / size if size else 0.0
+    for name, q, first_value, _ in main_numbers(first):
+        second_value = values_of_second.get(name)
+        if q.order and first_value is not None and second_value is not None:
+            numbers_of_both[name] = [first_value, second_value]
+            size = reference_size(first_value, q, largest)
+            relative[name] = abs(second_value - first_value) / size if size else 0.0
     if not numbers_of_both:
         return numbers_of_both, ""
     most_changed = max(relative, key=lambda full_name: relative[full_name])

@@ -12,7 +12,7 @@ import json
 import logging
 import time as clock
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,7 +27,7 @@ from app.case.case import Case, plain_data
 from app.foundation.collective import everywhere, on_root
 from app.foundation.errors import InputError
 from app.foundation.files import write_bytes
-from app.foundation.layout import several
+from app.foundation.layout import leaves, several
 from app.numerics.saved_state import Array, Rows, collect, restore, restored_object
 from app.simulation.model import Model
 from app.simulation.recorder import Recorder
@@ -196,7 +196,7 @@ def _refuse_another(saved_checkpoint: Checkpoint, case: Case, force: bool) -> No
             f"{__version__}: results may differ (--force uses it nevertheless)"
         )
     saved_values, case_values = (
-        dict(_leaves(c)) for c in (saved_checkpoint.header["case"], data_of_states(case))
+        dict(leaves(c)) for c in (saved_checkpoint.header["case"], data_of_states(case))
     )
     pairs = {
         key: (case_values.get(key, "nothing"), saved_values.get(key, "nothing"))
@@ -221,16 +221,6 @@ def data_of_states(case: Case) -> dict[str, object]:
     data["output"] = {key: output.get(key, {}) for key in ("probes", "paths")}
     data["geometry"].pop("path", None)  # the digest identifies the mesh, not its path
     return dict(json.loads(json.dumps(data)))
-
-
-def _leaves(data: object, key: str = "") -> Iterator[tuple[str, object]]:
-    if isinstance(data, list) and any(isinstance(v, dict | list) for v in data):
-        data = dict(enumerate(data))
-    if isinstance(data, dict) and data:
-        for name, value in data.items():
-            yield from _leaves(value, f"{key}.{name}" if key else name)
-    else:
-        yield key, data
 
 
 # A run

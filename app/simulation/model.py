@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 import meshes
 from app.case.case import Case
 from app.case.summary import Summary, merge
-from app.foundation.collective import on_root
+from app.foundation.collective import agree, on_root
+from app.foundation.errors import ConvergenceError, GeometryError
 from app.foundation.verdict import Verdict
 from app.mechanics.contact import TrialState
 from app.mechanics.predictors import Predictor, WarmStart
@@ -427,6 +428,14 @@ class Model:
             else None
         )
         return other_model.numbers(samples)
+
+    def numbers_or_reason(self, case: Case) -> tuple[Summary | None, str]:
+        """Numbers of a companion case, or None and why it cannot be solved; collective."""
+        try:
+            return self.numbers_of_companion(case), ""
+        except (ConvergenceError, GeometryError) as failure:
+            agree(self.tagged.mesh.comm, failure)
+            return None, str(failure).splitlines()[0]
 
 
 def coarse_case(case: Case, unknowns: int) -> Case | None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable, Mapping
 
-from app.results import closing_lines
 from app.results.interface_numbers import ContactSamples
 from app.scene.scene import Stage
 from app.stepping.heat_state import HeatStep
@@ -12,6 +12,12 @@ from app.stepping.load_steps import LoadStep
 from forms.contact import OPEN, SLIP
 
 log = logging.getLogger("mantle")
+
+# Columns of the lines of steps and of heat steps, with their widths.
+STEP_COLUMNS = {"step": 4, "time": 7, "newton": 6, "krylov": 6, "residual": 9}
+STEP_COLUMNS |= {"open": 6, "slip": 6, "penetration": 12, "elapsed": 9, "left": 9}
+HEAT_COLUMNS = {"step": 4, "time": 11, "step of": 10, "newton": 6, "krylov": 6}
+HEAT_COLUMNS |= {"hottest": 10, "balance": 9, "elapsed": 9}
 
 
 class StepLog:
@@ -27,8 +33,8 @@ class StepLog:
 
     def begin_stage(self, stage: Stage) -> None:
         """Begin a stage: a header comes before its first line."""
-        columns = closing_lines.HEAT_COLUMNS if stage.takes_time else closing_lines.STEP
-        self._header = closing_lines.aligned_line(columns, columns)
+        columns = HEAT_COLUMNS if stage.takes_time else STEP_COLUMNS
+        self._header = _aligned_line(columns, columns)
 
     def log_step(
         self, step: LoadStep, samples: ContactSamples | None, wall: float, solve_seconds: float
@@ -45,7 +51,12 @@ class StepLog:
         interfaces = samples.step_numbers if samples else {}
         deepest = max((q["penetration_max"] for q in interfaces.values()), default=0.0)
         time_left = solve_seconds * ((self._stage_count - step.time) / step.time)
-        self._log(closing_lines.step_line(step, fractions, deepest, wall, time_left))
+        outcome = step.outcome
+        effort = (outcome.iterations, outcome.linear_iterations, f"{outcome.residuals[-1]:.1e}")
+        states = (*(f"{100 * fraction:.1f}%" for fraction in fractions), f"{deepest:.1e} mm")
+        times = (f"{wall:.1f} s", f"{time_left:.1f} s")
+        texts = (step.number, f"{step.time:.4g}", *effort, *states, *times)
+        self._log(_aligned_line(STEP_COLUMNS, texts))
 
     def log_heat_step(
         self, number: int, heat_step: HeatStep, row: dict[str, float], wall: float
@@ -58,7 +69,12 @@ class StepLog:
             row: Numbers of the heat by column title, as in history.csv.
             wall: Wall time since the run began [s].
         """
-        self._log(closing_lines.heat_line(number, heat_step, row, wall))
+        hottest = max(v for k, v in row.items() if k.endswith("temperature_max [degC]"))
+        outcome = heat_step.outcome
+        times = (f"{heat_step.seconds:.4g} s", f"{heat_step.dt:.3g} s")
+        state = (f"{hottest:.1f} degC", f"{row['heat balance [-]']:.1e}", f"{wall:.1f} s")
+        texts = (number, *times, outcome.iterations, outcome.linear_iterations, *state)
+        self._log(_aligned_line(HEAT_COLUMNS, texts))
 
     def _log(self, line: str) -> None:
         if self._header:
@@ -72,3 +88,8 @@ def area_fraction(samples: ContactSamples | None, status: int) -> float:
     if samples is None:
         return 0.0
     return float(samples.weight[samples.status == status].sum() / samples.weight.sum())
+
+
+def _aligned_line(columns: Mapping[str, int], texts: Iterable[object]) -> str:
+    """Return a line of right-aligned texts, one for each column with its width."""
+    return " ".join(f"{t:>{width}}" for t, width in zip(texts, columns.values(), strict=True))

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from app.foundation import files
-from app.foundation.errors import EnvironmentProblem, InputError
+from app.foundation.errors import EnvironmentProblem, InputError, StoppedError
 
 # File in the folder of a variation that did not converge, with the reason.
 FAILED_FILE = "FAILED"
@@ -189,13 +189,40 @@ def write_text(path: Path, text: str) -> None:
     files.write_bytes(path, text.encode())
 
 
+@contextmanager
+def writing(path: Path | str) -> Iterator[None]:
+    """Turn a failed write of a file or into a folder into an error.
+
+    Raises:
+        StoppedError: The disk is full or read-only, or a permission is missing.
+    """
+    try:
+        yield
+    except OSError as error:
+        file = files.LEFT.sub("", os.fsdecode(error.filename or path))
+        raise StoppedError(f"cannot write {file}: {error.strerror or error}") from error
+
+
+@contextmanager
+def reading(path: Path | str) -> Iterator[None]:
+    """Turn a failed reading of results into an error.
+
+    Raises:
+        InputError: They are missing, damaged or of another version.
+    """
+    try:
+        yield
+    except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{path}: cannot be read: {error!r}") from error
+
+
 def csv_text(rows: Sequence[Mapping[str, object]]) -> str:
     """Rows as CSV, with a column for every key of any row."""
     buffer = io.StringIO()
-    column_names = dict.fromkeys(name for row in rows for name in row)
-    table = csv.writer(buffer, lineterminator="\n")
-    table.writerow(column_names)
-    table.writerows([row.get(name, "") for name in column_names] for row in rows)
+    column_names = list(dict.fromkeys(name for row in rows for name in row))
+    table = csv.DictWriter(buffer, column_names, lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
     return buffer.getvalue()
 
 

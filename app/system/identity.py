@@ -8,7 +8,6 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import importlib.util
-import json
 import re
 import sys
 from functools import lru_cache
@@ -23,11 +22,6 @@ WITHOUT_INFLUENCE = re.compile(
     r"|case/(fit|keys|new_case|study|sweep)|system/doctor)\.py"
 )
 MISSING = "missing"
-
-
-def text_of_versions() -> str:
-    """All parts as one text."""
-    return json.dumps(versions(), sort_keys=True)
 
 
 @lru_cache(maxsize=1)

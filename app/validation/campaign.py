@@ -27,7 +27,7 @@ from app.case.case import PlannedRun
 from app.foundation import layout
 from app.foundation.errors import EnvironmentProblem, InputError, worst_error
 from app.results.reading import Results
-from app.system.folders import csv_text, remove, write_json, write_text
+from app.system.folders import csv_text, remove, write_json, write_text, writing
 from app.validation import metrics, picture, records
 from app.validation.catalogue import EXPERIMENTS
 from app.validation.experiment import (
@@ -355,7 +355,7 @@ def _write(comparisons: Sequence[ComparedQuantity], options: Options) -> None:
     experiment_names = dict.fromkeys(c.experiment for c in comparisons)
     pictures = {name: folder / f"{name}.png" for name in ("validate", *experiment_names)}
     remove(pictures.values())
-    with batch.writable(folder):
+    with writing(folder):
         write_json(folder / "validate.json", [json_of_comparison(c) for c in comparisons])
         write_text(folder / "validate.csv", csv_text(table))
         pairs = [(f"{c.experiment}: {c.quantity}", c.prediction, c.measured) for c in comparisons]
@@ -384,17 +384,12 @@ def _row(c: ComparedQuantity) -> dict[str, object]:
         "area": "",
     }
     if m is not None:
-        row["measured"] = (
-            _interval(metrics.measured_range(m)) if _is_spread(m) else f"{m.middle:.4g}"
-        )
+        is_spread = m.range is not None or m.uncertainty is not None
+        row["measured"] = _interval(metrics.measured_range(m)) if is_spread else f"{m.middle:.4g}"
         row[""] = "inside" if metrics.inside(p, m) else "outside"
         row["E_n"] = f"{metrics.normalised_error(p, m):.2f}"
         row["area"] = f"{metrics.area_metric(p, m):.3g}"
     return row
-
-
-def _is_spread(measured: MeasuredQuantity) -> bool:
-    return measured.range is not None or measured.uncertainty is not None
 
 
 def _interval(interval: tuple[float, float]) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 
 from app.foundation.arrays import Floats
 from app.results.reading import Results
-from app.validation.experiment import Conditions, Experiment, PredictedQuantity
+from app.validation.experiment import Experiment, PredictedQuantity
 
 # Discs that set in moulds
 
@@ -67,10 +67,6 @@ DISC = Experiment(
 # Cement that sets around a stem
 
 
-def _tension(runs: Conditions) -> float:
-    return float(runs[""].summary["regions"]["cement"]["principal_p99"])
-
-
 MANTLE = Experiment(
     name="mantle",
     title="Residual stress of cement that has set around a stem",
@@ -79,7 +75,7 @@ MANTLE = Experiment(
         "tension": PredictedQuantity(
             "largest tension (p99) of cement that has set around a stem",
             "MPa",
-            _tension,
+            lambda runs: float(runs[""].summary["regions"]["cement"]["principal_p99"]),
             "Outside of the band cement stops to flow at another degree of cure, or shrinks more "
             "after it.",
         )

@@ -24,15 +24,10 @@ def strain_of_gauge(run: Results, gauge: str) -> float:
     """Strain of a gauge by the force alone: zeroed after the insertion of the stem [um/m]."""
     record = run.step_record
     column = record[f"{gauge} strain [-]"]
-    inserted_strains = (
-        column[record["time [-]"] <= INSERTED] if _is_cementless(run) else np.zeros(1)
-    )
+    # The first stage inserts a stem without cement.
+    is_cementless = "stem_bone" in run.summary["interfaces"]
+    inserted_strains = column[record["time [-]"] <= INSERTED] if is_cementless else np.zeros(1)
     return float(MICRO * (column[-1] - inserted_strains[-1]))
-
-
-def _is_cementless(run: Results) -> bool:
-    """Return True if the run has a stem without cement. Its first stage inserts the stem."""
-    return "stem_bone" in run.summary["interfaces"]
 
 
 def stiffness(run: Results) -> float:

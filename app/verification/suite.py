@@ -42,6 +42,7 @@ from app.verification.problem import (
     planned_runs,
     row_of,
     solution,
+    within,
 )
 
 log = logging.getLogger("mantle")
@@ -49,8 +50,6 @@ log = logging.getLogger("mantle")
 PROBLEMS = Path(__file__).with_name("problems")
 # Most names of problems in a message.
 MOST_NAMES = 100
-# Problems of each tier, as pytest selects by markers.
-SELECTED = {"quick": " and quick", "default": " and not long", "long": ""}
 # Plugins of pytest that have nothing to do here: no output and no folders but those of the suite.
 UNUSED = ("terminal", "cacheprovider", "capture", "logging", "faulthandler", "warnings")
 
@@ -108,10 +107,12 @@ class Suite:
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Function]) -> None:
-        """Choose the problems by a part of their name, and plan their runs."""
+        """Choose the problems by their tier and a part of their name, and plan their runs."""
         chosen_items = []
         for item in items:
             row = row_of(item, self.name)
+            if not within(row.tier, self.options.tier):
+                continue
             self.allowed.append(row)
             if self.options.pattern in row.name:
                 runs = planned_runs(item, row, self.options.tier)
@@ -142,7 +143,7 @@ def _pytest(suite: Suite) -> Suite:
         InputError: No problem has such a name.
         MantleError: The runs cannot be done.
     """
-    arguments = [str(PROBLEMS), "-m", suite.name + SELECTED[suite.options.tier]]
+    arguments = [str(PROBLEMS), "-m", suite.name]
     # Settings of a project around are not ours.
     arguments += ["-c", os.devnull, "--rootdir", str(PROBLEMS), "--import-mode", "importlib"]
     for plugin in UNUSED:
@@ -193,7 +194,7 @@ def run(name: str, options: Options) -> bool:
         return True
     log.info("%s", table_of_rows(suite.rows))
     write(name, options, suite.rows)
-    log.info("%s\nresults in %s", verdict(suite.rows), options.folder)
+    log.info("%s\nresults in %s", summary_line(suite.rows), options.folder)
     return all(
         row.outcome in (PASSED, REFUSED) or (row.outcome == MISSED and row.may_miss)
         for row in suite.rows
@@ -343,7 +344,7 @@ def _summed(name: str, rows: Sequence[Row]) -> Sequence[object]:
     return (name, len(rows), *(counts[x] or "" for x in OUTCOMES), seconds, *worst_columns)
 
 
-def verdict(rows: Sequence[Row]) -> str:
+def summary_line(rows: Sequence[Row]) -> str:
     """Number of problems passed, and names of the others."""
     names_by_outcome = {x: [row.name for row in rows if row.outcome == x] for x in OUTCOMES}
     counts = ", ".join(f"{len(rows_of)} {x}" for x, rows_of in names_by_outcome.items() if rows_of)

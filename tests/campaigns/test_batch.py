@@ -16,7 +16,7 @@ from app.campaigns import batch, scheduler
 from app.campaigns.runs import Result, result_of, runs_of
 from app.case.case import PlannedRun, load_case
 from app.case.geometries import MeshFile
-from app.foundation.errors import EnvironmentProblem, InputError
+from app.foundation.errors import EnvironmentProblem, InputError, StoppedError
 from app.soundness import cost, memory
 from app.system import folders, identity
 from tests.campaigns.bench import CASE, Bench, wait
@@ -157,7 +157,7 @@ def test_batch_stops_if_the_table_cannot_be_written(bench: Bench) -> None:
 
 def test_batch_folder_has_one_batch_at_a_time(bench: Bench) -> None:
     bench.out.write_text("a file")
-    with pytest.raises(InputError, match="cannot be written"):
+    with pytest.raises(StoppedError, match="cannot write"):
         bench.run(bench.job(1.0))
     bench.out.unlink()
     bench.out.mkdir()

@@ -10,7 +10,7 @@ import pytest
 
 import meshes
 from app.case.case import load_case
-from app.case.gmsh_header import ALLOWED
+from app.case.mesh_names import ALLOWED
 from app.cli import main
 from app.foundation.errors import GeometryError, InputError
 from tests import support

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from app.case.geometries import MeshFile
-from app.case.gmsh_header import content_hash
+from app.case.mesh_names import content_hash
 from tests.mesh_files.spellings import MATERIALS, cut, pvtu, vtu
 
 

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from app.case.gmsh_header import content_hash
+from app.case.mesh_names import content_hash
 from app.foundation.errors import GeometryError
 from app.mesh_files import named
 from meshes.data import region_volumes

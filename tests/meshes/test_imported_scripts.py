@@ -12,7 +12,7 @@ from pydantic import ValidationError
 import meshes
 from app.case.case import load_case
 from app.case.geometries import MeshFile
-from app.case.gmsh_header import ALLOWED, physical_names
+from app.case.mesh_names import ALLOWED, physical_names
 from app.case.shapes import MeshOptions
 from app.foundation import confined
 from app.foundation.errors import GeometryError, InputError

@@ -400,7 +400,7 @@ def test_press_fit_without_friction_expels_the_stem(tmp_path: Path) -> None:
 
 def test_press_fit_refuses_reaming_for_cement() -> None:
     """The space between the canal and the stem would be filled with bone."""
-    with pytest.raises(InputError, match=r"geometry\.canal_widening: makes room for cement"):
+    with pytest.raises(InputError, match=r"geometry\.canal_widening: is for cemented stems"):
         mantle.load(CONFIGS / "pressed.yaml", **{"geometry.canal_widening": "3 mm"})
 
 

@@ -376,13 +376,19 @@ def test_run_report_ticks_are_round(ends: tuple[float, float], ticks: list[float
 def test_run_report_has_landmarks_if_the_files_of_the_case_are_there(tmp_path: Path) -> None:
     """The picture of the case needs the files of the case."""
     (tmp_path / "case.yaml").write_text("base: stance")
-    (landmarks,) = run_report._landmarks(tmp_path)
+    config, _ = run_report._read_config(tmp_path)
+    assert config is not None
+    (landmarks,) = run_report._landmarks(config)
     assert isinstance(landmarks, Bullets)
     assert any(text.startswith("head of the stem: offset 43.0 mm") for text in landmarks.texts)
     (tmp_path / "case.yaml").write_text(
         "base: stance\ngeometry: {kind: patient, bone: {image: removed.nii.gz, label: 1}}"
     )
-    assert run_report._landmarks(tmp_path) == []
+    config, reason = run_report._read_config(tmp_path)
+    assert config is None
+    (note,) = run_report._model(tmp_path, config, reason)
+    assert isinstance(note, Bullets)
+    assert "no picture of the case: InputError" in note.texts[0]
 
 
 @pytest.mark.parametrize(
@@ -420,5 +426,7 @@ def test_run_report_of_a_right_femur_says_that_it_is_mirrored(tmp_path: Path) ->
             "base: stance\ngeometry: {kind: patient, bone: {surface: bone.stl, unit: mm}}\n"
             "loads: {library: one_leg_stance}\n"
         )
-        sentence = run_report._mirrored(run_report.opened(folder))
+        config, _ = run_report._read_config(folder)
+        assert config is not None
+        sentence = run_report._mirrored(config)
         assert ("right femur" in sentence) == (name == "right")

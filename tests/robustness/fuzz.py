@@ -27,7 +27,7 @@ from ruamel.yaml import YAML
 
 from app import extensions  # noqa: F401  (registers keys that cases have)
 from app.case import fit as fit_file
-from app.case import gmsh_header
+from app.case import mesh_names
 from app.case import study as study_file
 from app.case import sweep as sweep_file
 from app.case.case import dump, load_case
@@ -274,7 +274,7 @@ def main(seed: str, first: int, last: int, folder: Path) -> None:
     cases = (p.relative_to(CONFIGS) for p in CONFIGS.rglob("*.yaml"))
     shipped = sorted(p for p in cases if p.parent.name != "library")
     registry()
-    os.environ[gmsh_header.ALLOWED] = "1"  # scripts are read here, never run
+    os.environ[mesh_names.ALLOWED] = "1"  # scripts are read here, never run
     for name in shipped:  # imports, and the conversions of units
         read(folder / "configs" / name, [])
     guard(folder.resolve())

@@ -13,7 +13,7 @@ import pytest
 
 import meshes
 from app.case.case import load_case
-from app.case.gmsh_header import ALLOWED
+from app.case.mesh_names import ALLOWED
 from app.foundation.arrays import Field, Floats
 from app.laws.loads import Force, Load
 from app.laws.materials import Elastic

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from app.campaigns.work_precision import fitted_order
-from app.case.gmsh_header import ALLOWED
+from app.case.mesh_names import ALLOWED
 from app.foundation.arrays import Floats
 from forms.contact import SLIP
 from tests import support

@@ -11,7 +11,7 @@ import pytest
 
 import meshes
 from app.case.case import Case
-from app.case.gmsh_header import ALLOWED
+from app.case.mesh_names import ALLOWED
 from meshes.distribute import distribute
 from tests import support
 

@@ -206,7 +206,7 @@ def test_suite_table_verdict_picture_and_json(tmp_path: Path) -> None:
     assert f"row_7 failed: one: exit code 70: {LOOSE}" in text
     others = "row_3, row_4, row_5, row_7"
     expected = f"8 problems: 3 passed, 1 refused, 3 missed, 1 failed: {others}"
-    assert suite.verdict(everything) == expected
+    assert suite.summary_line(everything) == expected
     other = Row("b", "b", tolerance=1.0, comparison=problem.Comparison(0.0), outcome="passed")
     assert suite.table_of_rows([*everything, other]).splitlines()[-4].split()[:2] == ["row", "8"]
     picture.draw(everything, tmp_path / "a.png")

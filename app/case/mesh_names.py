@@ -1,4 +1,7 @@
-"""Names in a mesh file, of gmsh (``.msh``, ``.geo``: without it) or of other programs."""
+"""Names of regions and surfaces in a mesh file, read without gmsh.
+
+Files are ``.msh``, ``.geo``, and those of other programs.
+"""
 
 from __future__ import annotations
 
