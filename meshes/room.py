@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 from app.foundation.arrays import Floats, unit_vectors
@@ -62,21 +63,14 @@ class WidestCanal:
     distances: Floats
 
     def room(self, x: Floats) -> Floats:
-        """Distance of points (..., 3) from the surface, positive within (...) [mm].
+        """Distance of points (n, 3) from the surface, positive within (n,) [mm].
 
         It is linear between nodes. Beyond the grid the distance from it is subtracted.
         """
-        last_node = np.array(self.distances.shape) - 1
         grid_position = (x - self.low) / GRID_STEP
-        nearest = np.clip(grid_position, 0.0, last_node)
+        nearest = np.clip(grid_position, 0.0, np.array(self.distances.shape) - 1)
         outside_distance = np.linalg.norm((grid_position - nearest) * GRID_STEP, axis=-1)
-        cell = np.minimum(nearest.astype(np.int64), last_node - 1)
-        fraction = nearest - cell
-        room = np.zeros(x.shape[:-1])
-        for corner in np.ndindex(2, 2, 2):
-            weight = np.where(corner, fraction, 1.0 - fraction).prod(axis=-1)
-            node = cell + corner
-            room += weight * self.distances[node[..., 0], node[..., 1], node[..., 2]]
+        room = map_coordinates(self.distances, nearest.T, order=1)
         return np.asarray(DISTANCE_UNIT * room - outside_distance)
 
 

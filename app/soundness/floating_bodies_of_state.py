@@ -102,7 +102,8 @@ def texts_of_floating_bodies(problem: Problem, trial: TrialState, moved: bool = 
     total = float(np.sum(contact.points.weight))
     support_resistance = support_resistance_of_bodies(problem)
     # A body with a prescribed motion counts as held here, but not in `texts_of_pulled_bodies`.
-    support_resistance |= {body: np.eye(6) for body in bodies_with_prescribed_motion(problem)}
+    body_of_region = problem.bodies.body_of_region
+    support_resistance |= {body_of_region[m.region]: np.eye(6) for m in problem.scene.motions}
     for body, part in support_resistance.items():
         A[6 * body : 6 * body + 6, 6 * body : 6 * body + 6] += total * part
     values, vectors = np.linalg.eigh((A + A.T) / 2)
@@ -474,8 +475,3 @@ def support_resistance_of_bodies(problem: Problem) -> dict[int, Floats]:
 
     assert problem.contact is not None
     return support_resistance(problem.body_forms, problem.stiffness, *problem.contact.motions.frame)
-
-
-def bodies_with_prescribed_motion(problem: Problem) -> list[int]:
-    """Bodies with a prescribed motion, by number."""
-    return [problem.bodies.body_of_region[m.region] for m in problem.scene.motions]

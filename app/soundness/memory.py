@@ -99,7 +99,8 @@ def error_without_memory(error: BaseException) -> EnvironmentProblem | None:
     while link is not None and link not in chain:  # an error of PETSc may name itself as its cause
         chain.append(link)
         link = link.__cause__ or link.__context__
-    cause = next(filter(_lacks_memory, chain), error if _nearly_full() else None)
+    is_nearly_full = 1e6 * peak_memory("VmPeak") > NEARLY * _addresses()
+    cause = next(filter(_lacks_memory, chain), error if is_nearly_full else None)
     if cause is None:
         return None
     lines = filter(None, map(str.strip, str(cause).splitlines()))
@@ -116,11 +117,6 @@ def _lacks_memory(error: BaseException) -> bool:
         or getattr(error, "ierr", None) == OUT_OF_MEMORY
         or any(text in str(error) for text in MEMORY_ERRORS)
     )
-
-
-def _nearly_full() -> bool:
-    """Return True if this process has nearly reached its limit of memory."""
-    return 1e6 * peak_memory("VmPeak") > NEARLY * _addresses()
 
 
 def _limits() -> str:

@@ -35,7 +35,9 @@ def lines_of_mesh_notes(notes: Mapping[str, Any]) -> Iterator[str]:
     }
     for key, size_words in sizes.items():
         if key in other_notes:
-            yield f"{size_words}: {_sizes_text(other_notes.pop(key))}"
+            sizes_by_name = other_notes.pop(key).items()
+            sizes_text = ", ".join(f"{name} {count(size)}" for name, size in sizes_by_name)
+            yield f"{size_words}: {sizes_text}"
     for name, note in other_notes.items():
         yield f"{name.replace('_', ' ')}: {plain_text(note)}"
 
@@ -84,8 +86,3 @@ def _quality(note: Mapping[str, Any]) -> str:
         f"{note['sicn_min']:.2f} ({regions}); {count(note['sicn_below_0.1'])} of "
         f"{count(note['cells'])} cells have less than 0.1"
     )
-
-
-def _sizes_text(sizes: Mapping[str, float]) -> str:
-    """Sizes with their names, rounded."""
-    return ", ".join(f"{name} {count(size)}" for name, size in sizes.items())

@@ -24,7 +24,7 @@ def test_room_of_a_round_canal_is_its_clearance() -> None:
     x = np.stack([1 + r * np.cos(theta), -2 + r * np.sin(theta), np.full(500, z)], axis=1)
     assert canal.room(x) == pytest.approx(RADIUS - r, abs=0.03)
     # Beyond the grid its distance is added.
-    assert canal.room(np.array([61.0, -2.0, z])) == pytest.approx(RADIUS - 60.0, abs=0.05)
+    assert canal.room(np.array([[61.0, -2.0, z]])) == pytest.approx(RADIUS - 60.0, abs=0.05)
 
 
 def test_room_is_the_thickness_of_the_meshed_cement() -> None:
