@@ -43,6 +43,7 @@ CAD_SPARED = 0.9  # as `LayeredSurfaces.spared`, of stems from CAD: their edges 
 VOID = "void"  # where no cells are
 COLLAR = "collar"
 COLLAR_SEARCH = 20  # places for each station at which the height of a collar's top is searched
+COLLAR_CELL = 2.0  # of the height of cells of a collar over the distance of lines around: largest
 STATION_SPACING = 0.3  # of a step above the neck cut: no station is nearer to the top of a collar
 EDGE_DISTANCE = 0.02  # mm from a parabola at which the outline of a stem has an edge along
 EDGE_LINES = 96  # lines on which edges along are searched
@@ -318,7 +319,9 @@ class LayeredSurfaces:
         thickness = implant.collar_thickness
         if not thickness:
             return last
-        steps = self.mesh.steps(thickness)
+        edges = np.diff(self.outline(), axis=0, append=self.outline()[:1])
+        line_distance = float(np.sqrt((edges**2).sum(axis=1)).mean())
+        steps = max(self.mesh.steps(thickness), round(thickness / (COLLAR_CELL * line_distance)))
         # The station of the stem alone that is as high above the cut, around medial in the mean.
         on_cut = self._medial_points(0.0)
         stations, heights = [0.0], [0.0]
