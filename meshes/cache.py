@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("mantle")
 
-MESHER_VERSION = 45  # raise it whenever the same input gives another mesh or other notes
+MESHER_VERSION = 46  # raise it whenever the same input gives another mesh or other notes
 
 
 def mesh_hash(geometry: Shape, mesh: MeshOptions) -> str:

@@ -29,7 +29,7 @@ from meshes.shape_functions import GMSH_TETRAHEDRON
 FLOOR_RATIO = 0.12
 FLOOR_RATIO_ALONG = 0.05
 
-POOR = 0.12  # SICN: quadrangles of the rings with worse cells get their other diagonal
+POOR = 0.12  # SICN: quadrangles with worse cells get their other diagonal if it is better
 
 # The tetrahedra of a prism, whose lower corners 0, 1, 2 are in the order of their ranks.
 _PRISM = np.array([(0, 1, 2, 5), (0, 1, 4, 5), (0, 3, 4, 5)])
@@ -83,12 +83,14 @@ class Swept:
         moved_by = np.where(nodes.merged[mantle], np.maximum(-nodes.error[mantle], 0.0), deviation)[
             at_mantle
         ]
-        floors = nodes.floor[mantle & ~nodes.merged]
+        layer = mantle & ~nodes.merged
+        gap = surfaces.lines(nodes.phi[layer] / (2 * surfaces.around), nodes.s[layer] / 2).gap
+        thickness = gap + nodes.error[layer]
         return {
             "lines_around": surfaces.around,
             "steps_along": sum(segment.steps for segment in surfaces.segments),
             "cells_through": list(surfaces.through),
-            "least_thickness_mm": float(floors.min()) if len(floors) else 0.0,
+            "least_thickness_mm": float(thickness.min()) if len(thickness) else 0.0,
             "moved_nodes": float((moved_by > 10.0**-DIGITS_OF_NODES).mean()),
             "moved_max_mm": float(moved_by.max(initial=0.0)),
         }
@@ -251,7 +253,8 @@ class _Layers:
     """Division of the lines from stem to bone surface, at each line and station.
 
     Attributes:
-        gap: Distance of the endosteum from the stem (lines, stations) [mm].
+        gap: Distance of the endosteum from the mantle, or without cement from the stem
+            (lines, stations) [mm].
         floor: Least thickness of the layer within the endosteum [mm].
         merged: True where this layer has no thickness.
         rho: Layer coordinate of each column of a line (columns, lines, stations).

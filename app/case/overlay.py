@@ -38,6 +38,8 @@ NAMED = {
     "loads": "library",
     "credibility": "library",
 }
+# Keys of section `loads` that are no loads.
+KEYS_OF_ALL_LOADS = (*MEASURED, *TIME_KEYS, "library")
 # Keys of a region that stay if it becomes rigid.
 KEYS_OF_RIGID = {"tissue", "thermal"}
 SEPARATE_STUDY = (
@@ -270,6 +272,9 @@ def _override(case: CaseFile, key: str, override: str) -> None:
         raise BadYaml(f"{len(path_parts)} nested keys; at most {yaml_file.DEEPEST}")
     if path_parts[0] in ("base", "library"):
         raise BadYaml("--set cannot change it; change it in the file")
+    if path_parts[0] == "loads" and len(path_parts) > 2 and path_parts[1] in KEYS_OF_ALL_LOADS:
+        whole_key = ".".join(path_parts[:2])
+        raise BadYaml(f"{whole_key} is for all loads: set it as a whole, {whole_key}=VALUE")
     target: Any = case.data
     path: Path = ()
     for n, path_part in enumerate(path_parts):

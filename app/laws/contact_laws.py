@@ -57,7 +57,6 @@ class Unilateral(Frictional):
     """Unilateral contact with Coulomb friction: exact, or in series with a layer or a penalty."""
 
     can_open: ClassVar[bool] = True
-    has_augmentation: ClassVar[bool] = True
     is_contact: ClassVar[bool] = True
 
     gap: LengthField = 0.0

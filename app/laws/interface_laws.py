@@ -174,26 +174,24 @@ class GapKeys(Protocol):
 class InterfaceLaw(Extensible):
     """Base of the interface laws. Each subclass with a `kind` is a law.
 
-    =======================  ========  ========  ==========  ================
-    law                      can_part  can_open  is_contact  has_augmentation
-    =======================  ========  ========  ==========  ================
-    Bonded                   no        no        no          no
-    Unilateral (base)        yes       yes       yes         yes
-    - Contact, Penalty       yes       yes       yes         yes
-    Traction (base)          yes       no        no          no
-    - Cohesive               yes       yes       no          yes
-    Frictional (mix-in)      yes       no        no          no
-    =======================  ========  ========  ==========  ================
+    =======================  ========  ========  ==========
+    law                      can_part  can_open  is_contact
+    =======================  ========  ========  ==========
+    Bonded                   no        no        no
+    Unilateral (base)        yes       yes       yes
+    - Contact, Penalty       yes       yes       yes
+    Traction (base)          yes       no        no
+    - Cohesive               yes       yes       no
+    Frictional (base)        yes       no        no
+    =======================  ========  ========  ==========
 
-    A law with a line below its base derives from it. `Frictional` adds the friction coefficient to
-    `Unilateral`, to `Cohesive`, and to laws from outside.
+    A law after a dash derives from the base above it. `Frictional` adds the friction coefficient
+    to `Unilateral`, to `Cohesive`, and to laws from outside.
 
     Attributes:
         can_part: True if the sides can move relative to each other. The interface then has unknown
             jumps.
         can_open: True if the sides can separate without resistance.
-        has_augmentation: True if contact acts on the interface, also on its debonded area alone.
-            The remedies of Newton's method change the augmentation of such laws.
         is_contact: True for contact alone, whose slip follows from its state.
         internal_variables: Shapes of the internal variables at a point, by name: () for a scalar,
             (3,) for a vector. For a law with `damage` and `spent` (the dissipated part of its
@@ -204,7 +202,6 @@ class InterfaceLaw(Extensible):
     kind: Any
     can_part: ClassVar[bool] = True
     can_open: ClassVar[bool] = False
-    has_augmentation: ClassVar[bool] = False
     is_contact: ClassVar[bool] = False
     internal_variables: ClassVar[Mapping[str, tuple[int, ...]]] = {}
 
@@ -375,9 +372,11 @@ class InterfaceLaw(Extensible):
 
     @property
     def form(self) -> Hashable:
-        """Key of the compiled code that laws share: class and fields that are not numbers."""
-        return type(self), *(
-            (n, v) for n, v in self._added_fields().items() if not self._varies(n, v)
+        """Key of the compiled code that laws share: class, friction, fields without numbers."""
+        return (
+            type(self),
+            self.largest_friction > 0,
+            *((n, v) for n, v in self._added_fields().items() if not self._varies(n, v)),
         )
 
     def _added_fields(self) -> dict[str, float | str | Patches]:

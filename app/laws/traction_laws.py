@@ -159,7 +159,6 @@ class Cohesive(Frictional, Traction):
     """Cohesive interface: it debonds in tension, shear or mixed mode, then slides with friction."""
 
     can_open: ClassVar[bool] = True
-    has_augmentation: ClassVar[bool] = True
     internal_variables: ClassVar[Mapping[str, tuple[int, ...]]] = {"damage": (), "spent": ()}
 
     kind: Literal["cohesive"] = "cohesive"

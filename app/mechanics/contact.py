@@ -339,14 +339,13 @@ class ContactInterfaces:
         self.gaps.commit(state.jump, time)
 
     def _touching(self) -> Bools:
-        """Mask of points that touch in the committed state (n,)."""
-        return np.asarray((self.gaps.at_pairing <= 0) | self.state.force.any(axis=1))
+        """Mask of points that touch: committed jumps and forces, gaps of the current time (n,)."""
+        is_closed = (self.gaps.openings(self.state.jump) <= 0) & self.local.is_face
+        return np.asarray(self.state.force.any(axis=1) | is_closed.any(axis=1))
 
     def is_apart(self) -> bool:
         """Return True if no point touches in the committed state; collective."""
-        is_closed = (self.gaps.openings(self.state.jump) <= 0) & self.local.is_face
-        touches = self.state.force.any(axis=1) | is_closed.any(axis=1)
-        return not self.comm.allreduce(bool(touches.any()), MPI.LOR)
+        return not self.comm.allreduce(bool(self._touching().any()), MPI.LOR)
 
     def unresisted_motions(self, status: Ints) -> Floats:
         """Rigid motions that nothing resists at states (n,); collective."""

@@ -134,7 +134,7 @@ class ContactGaps:
         """Commit jumps (n, 3) [mm] at a time, with the current pairs."""
         self.committed_jump, self._committed_time = jump, time
         if self._finite_sliding is not None:
-            self._finite_sliding.commit(time)
+            self._finite_sliding.commit()
 
     @property
     def is_inserting(self) -> bool:

@@ -103,7 +103,8 @@ class FiniteSliding:
         return np.array([values[i] for i in self.interface_of_point]).reshape(-1, *shape)
 
     def set_time(self, time: float) -> None:
-        """Set rotations to a time, and those since the time of the last committed step."""
+        """Set rotations to a time of loads, and those since that of the last committed step."""
+        self._time = time
         rotations, committed_rotations = (
             {i: self._scene.rotation(m, t) for i, m in self._motion.items()}
             for t in (time, self._committed_time)
@@ -113,10 +114,10 @@ class FiniteSliding:
             {i: rotation_vector(rotations[i] @ committed_rotations[i].T) for i in rotations}
         )
 
-    def commit(self, time: float) -> None:
-        """Commit the current pairs, at a time."""
-        self._committed_time = time
-        self.set_time(time)
+    def commit(self) -> None:
+        """Commit the current pairs and rotations."""
+        self._committed_time = self._time
+        self.set_time(self._time)
         self.jump_at_committed_pairing = self.jump_at_pairing
 
     def find_pairs(self, jump: Floats) -> Paired:

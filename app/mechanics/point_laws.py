@@ -205,8 +205,7 @@ class PointLaws:
         r_default is the augmentation without keys of the case, r_case is `unscaled_augmentation`.
         Remedies use the factor to leave an unsuitable key `augmentation` or `augmentation_factor`.
         """
-        has_augmentation = np.array([law.has_augmentation for law, _ in self._laws])
-        is_augmented = has_augmentation[self._points.interface]
+        is_augmented = self.law_has_contact
         default_augmentation = np.minimum(
             DEFAULT_AUGMENTATION * self.softest_stiffness, self._layer_stiffness
         )[is_augmented]

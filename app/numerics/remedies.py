@@ -42,8 +42,10 @@ def solve(solver: Solver) -> NewtonResult:
     runs: list[tuple[int, int]] = []
     start = solver.x.copy() if contact else solver.x
     if contact and contact.remedies.freeze():
-        runs.append(solver.run())
-        contact.remedies.unfreeze()
+        try:
+            runs.append(solver.run())
+        finally:
+            contact.remedies.unfreeze()
         if not solver.converged:
             start.copy(solver.x)
     runs.append(solver.run())
@@ -53,7 +55,8 @@ def solve(solver: Solver) -> NewtonResult:
         if remedy:
             log.info("     %s: %s", failure_text(solver), remedy)
         runs.append(solver.run())
-        if remedy:
+        # Where a run with switched contact converges, the next one has the usual contact.
+        if remedy and not solver.converged:
             tried.append((remedy, solver.residuals[-1]))
     augmentation = solver.augmentation
     if (
@@ -120,8 +123,9 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
     3. The contact block is factorized, as SOR may yield poor directions.
     4. Friction is limited by given pressures, which follow those of the state. Above the critical
        friction coefficient Newton's method changes the same few points back and forth.
-    5. The augmentation is scaled. A large one makes contact points change state back and forth;
-       Newton continues from the current state with a smaller one.
+    5. The augmentation is scaled. A large one makes contact points change state back and forth, so
+       Newton continues from the current state with smaller ones. A larger one and two smaller ones
+       begin at the start.
     6. The line search is switched on or off. At a kink of the contact law it may shorten steps to
        almost zero, although full steps converge.
     7. An augmentation set by the case, which may be wrong by powers of ten, is replaced by the

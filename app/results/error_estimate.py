@@ -230,9 +230,11 @@ def companions(case: Case) -> tuple[Companion, ...]:
     if not case.output.error:
         return ()
     most_increments = max(stage.increments for stage in case.stages)
-    is_frictional = any(law.largest_friction > 0 for law in case.interfaces.values())
+    depends_on_path = any(
+        law.largest_friction > 0 or law.dissipates for law in case.interfaces.values()
+    )
     is_timed = any(stage.duration for stage in case.stages)
-    if is_frictional:
+    if depends_on_path:
         step_ratio = most_increments // 2 / most_increments if most_increments > 1 else 1.0
     else:
         step_ratio = 0.5 if is_timed else 1.0
@@ -242,7 +244,7 @@ def companions(case: Case) -> tuple[Companion, ...]:
     possible = dict.fromkeys(min(factor, coarsest_ratio) for factor in COARSENINGS)
     coarsenings = tuple(coarsening for coarsening in possible if coarsening > LEAST_COARSENING)
     meshes = tuple(_companion(case, coarsening, step_ratio) for coarsening in coarsenings)
-    if not (is_frictional or is_timed) or (len(meshes) == 1 and step_ratio < 1):
+    if not (depends_on_path or is_timed) or (len(meshes) == 1 and step_ratio < 1):
         # On one coarser mesh the difference itself shows half the steps well enough.
         return meshes[:1]
     largest_coarsening = (1.0, *coarsenings)[-1]
@@ -275,7 +277,7 @@ def error_sources(solved: Sequence[Companion]) -> str:
 
 
 def add_error_estimates(run: Summary, case: Case, solved: Solved) -> dict[str, list[list[float]]]:
-    """Add ``X_error`` next to each headline number X.
+    """Add ``X_error`` next to each number X that has an order of convergence.
 
     Args:
         run: Sections interfaces, regions and stem of the run's summary, and thermal and cure where

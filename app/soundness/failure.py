@@ -201,7 +201,9 @@ def attempts(tried: Sequence[tuple[str, float]], steps: Sequence[float] = ()) ->
     """
     tried_text = "plain Newton only"
     if tried:
-        best_remedy, residual = min(tried, key=lambda attempt: attempt[1])
+        best_remedy, residual = min(
+            tried, key=lambda attempt: np.nan_to_num(attempt[1], nan=np.inf)
+        )
         tried_text = (
             f"{len(tried)} remedies, of which the best ({best_remedy}) left a residual of "
             f"{residual:.1e}"

@@ -238,7 +238,7 @@ def error_of_runaway(problem: Problem, trial: TrialState) -> Verdict | None:
     may move as far, but resist.
     """
     contact = trial.contact
-    forces = sum(float(np.linalg.norm(r)) for r in problem.forces.resultants(problem.time))
+    forces = sum(float(np.linalg.norm(r)) for r in problem.forces.resultants(problem.load_time))
     largest_prescribed = max(
         problem.comm.allgather(float(np.abs(problem.prescribed).max(initial=0.0)))
     )

@@ -317,6 +317,14 @@ def test_overlay_reading_time_is_linear(tmp_path: Path) -> None:
         ("{}", ("loads.history=[0, x]",), ["--set loads.history: loads.history[1]: 'x' is"]),
         (
             "{history: [0, 1]}",
+            ("loads.history[0]=1", "loads.library[0]=gait"),
+            [
+                "--set loads.history[0]: loads.history is for all loads: set it as a whole,",
+                "--set loads.library[0]: loads.library is for all loads: set it as a whole,",
+            ],
+        ),
+        (
+            "{history: [0, 1]}",
             ("loads.hip.history[1]=x",),
             ["--set loads.hip.history[1]: 'x' is not a number"],
         ),

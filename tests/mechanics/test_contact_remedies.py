@@ -22,6 +22,16 @@ def test_contact_remedies_constrain_interfaces_that_are_open_everywhere() -> Non
     assert not touching.constrain() and not touching.switches.constrained.any()
 
 
+def test_contact_remedies_constrain_interfaces_that_opened_in_an_earlier_step() -> None:
+    """Without a gap at rest, the block has been lifted by 0.1 mm and has to come back."""
+    contact = contact_of_blocks("interfaces.lower_upper.gap=0 mm")
+    contact.set_time(1.0)
+    contact.state.jump = 0.1 * contact.local.normals[:, 0]
+    contact.set_time(2.0)
+    assert contact.is_apart()
+    assert contact.remedies.constrain() and contact.remedies.switches.constrained.all()
+
+
 def test_contact_remedies_open_contact_until_it_may_close() -> None:
     remedies = contact_of_blocks().remedies
     assert remedies.open() and remedies.switches.opened.all()
