@@ -34,6 +34,7 @@ THETA = 2 * np.pi * np.arange(RAYS) / RAYS
 NEAR_PLANE = 1e-6  # mm from a plane within which triangles may cross it
 HIDDEN_METAL = 4.0  # mm of metal that a ray may meet beyond a gap: the corner of a shoulder
 NOTCH_RATIO = 5.0  # of the distance of rays on an outline over that beside it: a notch is between
+WIDEST_NOTCH = 1.0  # mm: nodes that are moved off the chord of a wider one invert cells
 TIP_MARGIN = 3.0  # mm above the tip, and below the shoulder, from which the mantle goes on beyond
 SMALLEST_TURN = 1e-9  # turns between the two points at the middle of a notch
 NECK_SHARE = 0.38  # of the neck's length: what the points between axis and neck head for
@@ -228,7 +229,7 @@ def _with_corner_points(x: Floats, bounds: Floats, turns: Floats) -> tuple[Float
 
 
 def _beside_notches(x: Floats, turns: Floats) -> tuple[Floats, Floats]:
-    """Keep points off the chords of notches, into which no ray reaches.
+    """Keep points off the chords of narrow notches, into which no ray reaches.
 
     The first half of the lines at a notch get its first end, the others its second.
 
@@ -241,7 +242,7 @@ def _beside_notches(x: Floats, turns: Floats) -> tuple[Floats, Floats]:
     """
     length = np.sqrt(((np.roll(x, -1, axis=0) - x) ** 2).sum(axis=1))
     beside = np.maximum(np.roll(length, 1), np.roll(length, -1))
-    first = np.flatnonzero(length > NOTCH_RATIO * beside)
+    first = np.flatnonzero((length > NOTCH_RATIO * beside) & (length < WIDEST_NOTCH))
     second = (first + 1) % len(x)
     middle = turns[first] + 0.5 * ((turns[second] - turns[first]) % 1.0)
     return (

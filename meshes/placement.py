@@ -2,7 +2,8 @@
 
 The model's axes: z along the shaft, proximal positive, 0 at the lesser trochanter; x medial; y
 anterior. The stem's axes have their origin on its axis, at the level that its keys count from, z up
-its axis and x towards its head. Sections of the mesh are planes of the stem's axes.
+its axis and x towards its head. Sections of the mesh are planes given in the stem's axes. They tilt
+towards the plane of the neck cut.
 
 A bone answers the questions of `bone_layers.LayeredBone`: `femur_bone.FemurBone` of the parametric
 femur, or one of another package.

@@ -20,7 +20,7 @@ from meshes import reference_body
 from meshes.data import cell_volumes, faces_of, match_faces
 from meshes.layered_surfaces import LayeredSurfaces
 from meshes.layers import DIGITS_OF_NODES, Nodes
-from meshes.quality import check, relaxed_nodes, sicn, untangle
+from meshes.quality import BAD, check, relaxed_nodes, sicn, untangle
 from meshes.reference_body import ReferenceBody
 from meshes.shape_functions import GMSH_TETRAHEDRON
 
@@ -120,27 +120,36 @@ def _with_better_diagonals(
 ) -> tuple[Ints, Ints]:
     """Split the prisms as `_split`, with the better diagonals of quadrangles.
 
-    Diagonals change where cells are poor and get better. A diagonal is the same in all sections:
-    its worst cell counts.
+    Diagonals of rings change where cells are poor and get better. Those at the edge of the core
+    change where the cells outside of them are flat or inverted: all their nodes are on the stem's
+    surface, so they cannot be improved. A diagonal is the same in all sections: its worst cell
+    counts.
     """
     around, per_line = surfaces.around, len(body.rho)
-    no_quadrangle = around * (per_line + 1)
+    first_at_edge, no_quadrangle = around * per_line, around * (per_line + 1)
     quad = np.full(len(body.columns), no_quadrangle)
     turned_columns = body.columns.copy()
     _turn_ring_diagonals(body.columns, around, per_line, quad, turned_columns)
-    _turn_edge_diagonals(body, around, per_line, quad, turned_columns)
+    inside = _turn_edge_diagonals(body, around, per_line, quad, turned_columns)
+    judged = quad.copy()
+    judged[inside] = no_quadrangle
 
     def split(columns: Ints) -> tuple[tuple[Ints, Ints], Floats]:
         cells, parent = tetrahedra = _split(surfaces, replace(body, columns=columns), number)
         worst = np.ones(no_quadrangle + 1)
-        np.minimum.at(worst, quad[parent], sicn(nodes.x, cells))
+        np.minimum.at(worst, judged[parent], sicn(nodes.x, cells))
         return tetrahedra, worst
 
     tetrahedra, worst = split(body.columns)
-    if worst[:no_quadrangle].min() >= POOR:
+    in_ring, at_edge = np.s_[:first_at_edge], np.s_[first_at_edge:no_quadrangle]
+    is_turned = np.zeros(no_quadrangle + 1, dtype=bool)
+    is_turned[at_edge] = worst[at_edge] < BAD
+    if worst[in_ring].min() < POOR:
+        is_better = split(turned_columns)[1] > worst
+        is_turned[in_ring] = (worst[in_ring] < POOR) & is_better[in_ring]
+    if not is_turned.any():
         return tetrahedra
-    is_better = (worst < POOR) & (split(turned_columns)[1] > worst)
-    return split(np.where(is_better[quad, None], turned_columns, body.columns))[0]
+    return split(np.where(is_turned[quad, None], turned_columns, body.columns))[0]
 
 
 def _turn_ring_diagonals(
@@ -171,12 +180,15 @@ def _turn_ring_diagonals(
 
 def _turn_edge_diagonals(
     body: ReferenceBody, around: int, per_line: int, quad: Ints, turned_columns: Ints
-) -> None:
+) -> Ints:
     """Number the quadrangles at the edge of the core, and turn their diagonals, in place.
 
     The cells of a triangle between three neighbouring lines are flat where its corners are on a
     plane face of the stem. With the triangle inside it, it is a quadrangle, whose other diagonal
     ends on the middle line. That line gives the number. Arguments: see `_turn_ring_diagonals`.
+
+    Returns:
+        The prisms inside the diagonals (k,).
     """
     columns = body.columns
     on_edge = (columns < around * per_line) & (columns % per_line == 0)
@@ -201,6 +213,7 @@ def _turn_edge_diagonals(
     turned_columns[outer[of_outer]] = np.stack([first_end, middle, apex], axis=1)
     turned_columns[inner[of_inner]] = np.stack([middle, second_end, apex], axis=1)
     quad[outer[of_outer]] = quad[inner[of_inner]] = around * per_line + middle // per_line
+    return inner[of_inner]
 
 
 def _edge_keys(slab: Ints, ends: Ints, column_count: int) -> Ints:

@@ -79,7 +79,7 @@ def check_version(file: CaseFile) -> None:
     """Refuse a case, sweep, study or library of a version that this program does not know.
 
     Raises:
-        InputError: It says a newer version, or no version at all.
+        InputError: The version is a newer one, or no number of a version.
     """
     version = file.data.get(KEY, 1)
     if type(version) is not int or version < 1:

@@ -40,7 +40,7 @@ def _values(value: object) -> object:
 
 
 class Reference(Section):
-    """Reference: known values, or a finer ladder that is extrapolated."""
+    """Reference: known values, one finer run as it is, or finer runs that are extrapolated."""
 
     values: Annotated[dict[str, str | int | float], BeforeValidator(_values)] | None = None
     """The exact value of each quantity."""

@@ -11,7 +11,7 @@ formula, edit `forms.contact`. The steps between pass every constant of a law on
     Frictional.friction_coefficient                the key, also of a `SurfaceZone`: a number
     Unilateral.constants_at_points                 {"μ": f}, f: points (n, 3) -> numbers (n,)
     scene.scene.Interface.constants                this mapping, kept with the interface
-    mechanics.contact.ContactInterfaces.begin      {"μ": f(x)} at the contact points x of a rank
+    mechanics.contact.ContactInterfaces.begin      {"μ": f(x)} at all contact points x
     mechanics.point_laws.PointLaws.begin           sets it as the input "μ" of the compiled law
     Unilateral.response                            `AtPoint.constants["μ"]`, a UFL constant
     forms.contact.contact_law                      force of a point: friction at most μ p, in UFL

@@ -37,8 +37,9 @@ class Traction(InterfaceLaw):
     """Base of laws whose force is an explicit function of the gap, such as layers and cohesion.
 
     A subclass declares its keys. In its methods the keys are UFL scalars, and the argument is the
-    state of the point at a gap. `traction` is required. Inside the program a subclass is in this
-    module and its formula in a module of `forms`; no other file changes.
+    state of the point at a gap. `traction` is required. A law whose sides can separate without
+    resistance sets `can_open`. Inside the program a subclass is in this module and its formula in a
+    module of `forms`; no other file changes.
 
     `response` calls the methods once for each compiled form and differentiates their results. With
     the traction T and the debonded share s, the force of a point with multiplier F and jump D is T

@@ -6,14 +6,15 @@ stiffness of the body. The equilibrium of a linear scene is
 .. math:: K u + C q = f, \qquad C^T u + D q - f_q + W F = 0,
           \qquad C = \sum_b K_b B_b, \quad D = \sum_b B_b^T K_b B_b, \quad f_q = \sum_b B_b^T f_b,
 
-with W the areas of the contact points and F their forces. W is diagonal: the second line gives F.
-The law F = P(F + r D(q)) then becomes one equation per point, with e = C^T u + D q - f_q:
+with W the diagonal matrix of the areas of the contact points, and F their tractions [MPa]. So F is
+-e/W, with e = C^T u + D q - f_q. With the gap vector G(q), the law F = P(F + r G(q)) is then one
+equation per point:
 
-.. math:: e + W P(-e/W + r D(q)) = 0.
+.. math:: e + W P(-e/W + r G(q)) = 0.
 
 Its Jacobian rows are (1 - P') [C^T, D] + r W P'. At open points (P' = 0) the row is equilibrium. At
-points that stick (P' = 1) the row keeps the jump. If all points stick, the problem is the bonded
-one.
+points that stick (P' = 1) the row prescribes the jump. If all points stick from rest and without
+gaps, the solution is the bonded one.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ from app.scene.frames import vertex_constraints
 from app.scene.scene import Scene
 from forms.contact import OPEN, SLIP
 
-# A face counts as closed if its gap is below this fraction of the motion in the step [-].
+# A face counts as closed if its gap is below this fraction of the motion, or of the jump [-].
 CLOSED_GAP = 1e-6
 
 
@@ -78,7 +79,8 @@ class TrialState:
     def friction_and_slip(self) -> tuple[Floats, Floats]:
         """Friction [MPa] and slip [mm] of a step by the laws, each (n, 3).
 
-        Both are exactly zero where a point is open or sticks, without errors of the solver.
+        Both are exactly zero without errors of the solver: at points that are open or stick, that
+        have no friction, or whose law is not contact alone.
         """
         contact, law = self.contact, self.forces
         force = law.force - normal_force(law.pressures, contact.local.normals)
@@ -415,9 +417,10 @@ class ContactInterfaces:
         return project_free(r) + scale[:, None] * (q - project_free(q) - self.prescribed)
 
     def row_factors(self, law: PointForces) -> tuple[Floats, Floats]:
-        """Factors 1 - P' of [C^T, D] in the Jacobian rows, and blocks r W P' added to D.
+        """Derivatives of the residual: factors of [C^T, D], and blocks added to D, both (n, 3, 3).
 
-        Both (n, 3, 3), with P' in the free directions; see the module's docstring.
+        For contact they are 1 - P' and r W P' in the free directions; see the module's docstring.
+        In prescribed directions the blocks are r W.
         """
         free_projector, weight = self.local.free_projector, self.local.weight
         P = free_projector @ law.by_multiplier @ self.laws.multiplier_share @ free_projector

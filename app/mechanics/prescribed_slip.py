@@ -10,9 +10,9 @@ changes in the step, `respond` solves for F_h at each point. Where the jump is a
 friction of the last converged state.
 
 F_h is along the prescribed slip, so its size is one unknown per point. The residual H P - F_h is
->= 0 at F_h = 0 and < 0 at the upper bound, so a root lies between. Each iterate of Newton's method
-replaces one of the bounds. Bisection replaces a Newton step if it leaves the bounds or if the step
-before did not halve the residual.
+>= 0 at F_h = 0 and < 0 at the upper bound, so between them it changes sign. Each iterate of
+Newton's method replaces one of the bounds. Bisection replaces a Newton step if it leaves the bounds
+or if the step before did not halve the residual.
 
 At a point of one face the residual decreases and is concave on the side of the start, so that the
 iterates approach the root from one side. They are slowest where the force across the slip equals
@@ -38,7 +38,7 @@ SLIP_ROUNDING = 1e-13
 REST_TOLERANCE = 1e-11
 # The force along a prescribed jump has converged within this fraction of the trial force.
 FORCE_TOLERANCE = 1e-12
-# First ratio of the upper bound of that force to the trial force [-]: larger than any μ.
+# First ratio of the upper bound of that force to the trial force [-]: larger than any known μ.
 UPPER_BOUND = 1e3
 
 # Inputs and outputs of a law at n points, by name: (n, ...).

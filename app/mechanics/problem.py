@@ -19,7 +19,7 @@ with
   `PointLaws.evaluate` from `InterfaceLaw.response`). See `mechanics.contact` for F = P(-e/W + r D).
 - In rows that supports prescribe, r_u is the deviation from their values (`Stiffness.prescribed`).
 
-K, C and D are assembled once. `mechanics.systems` adds the Jacobian. Heat changes f alone; the
+`mechanics.systems` adds the Jacobian. Heat changes f alone; the
 pressures and friction of `trial` change the heat (`stepping.contact_heat`), whose equations are in
 `heat.implicit_step`.
 """

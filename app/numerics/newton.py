@@ -154,7 +154,7 @@ class NewtonResult:
         changes: Number of contact points that changed state, at each iteration.
         linear_failed: True if the linear solver failed.
         augmentation: Final multiple of the case's augmentation.
-        tried: Remedies that did not converge, in the order tried, each with its final residual.
+        tried: Remedies in the order tried, each with its last residual; infinite if it converged.
         period: Length of the cycle in which contact states repeat at the end; 0 without.
     """
 

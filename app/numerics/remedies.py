@@ -55,9 +55,9 @@ def solve(solver: Solver) -> NewtonResult:
         if remedy:
             log.info("     %s: %s", failure_text(solver), remedy)
         runs.append(solver.run())
-        # Where a run with switched contact converges, the next one has the usual contact.
-        if remedy and not solver.converged:
-            tried.append((remedy, solver.residuals[-1]))
+        if remedy:
+            # If another run follows a converged one, this one had switched contact.
+            tried.append((remedy, math.inf if solver.converged else solver.residuals[-1]))
     augmentation = solver.augmentation
     if (
         contact

@@ -99,9 +99,9 @@ def _planes(path: Path, frames: Sequence[Any]) -> tuple[Any, Floats]:
         fault = f"has only one slice, {dicom_series.name_of_slice(frames[0])}"
         raise InputError(f"{path}: {fault}; expected several")
     origin = positions[heights.argmin()]
-    # The mean step: rounding of each gap has no effect on it.
     step = float(gaps.min())
     plane_of_frame = np.round((heights - levels[0]) / step).astype(int)
+    # The mean step: rounding of each gap has no effect on it.
     step = float((levels[-1] - levels[0]) / plane_of_frame.max())
     plane_of_frame = np.round((heights - levels[0]) / step).astype(int)
     distances = np.linalg.norm(positions - origin - step * plane_of_frame[:, None] * normal, axis=1)

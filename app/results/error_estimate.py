@@ -7,29 +7,29 @@ A number X of a run on a mesh of size h has the estimated error
 where :math:`X_{2h}` is the number of a companion on a mesh of size 2 h, and C / n the error of n
 steps, see below. The median m of :math:`e_1 / (a |X_h|)` is taken over the numbers of a group
 (`CLASS_OF_MEDIAN`). The term with m is needed because two meshes may agree by chance.
-Numbers of parts (rim, tip, coats, Gruen zones) change more from mesh to mesh than those of whole
-interfaces: they use a separate median and a separate factor b. For a Gruen zone, :math:`|X_h|` is
-at least a quarter of the mean over all zones. For temperatures b is zero. If there is a companion
-of size 3 h, their error is the larger of its scaled change and :math:`|X_h - X_{2h}|`, each times
-its factor in `FACTORS_OF_TWO_MESHES`.
+Numbers of parts (rim, tip, neck, surface zones, Gruen zones) change more from mesh to mesh than
+those of whole interfaces: they use a separate median and a separate factor b. For a Gruen zone,
+:math:`|X_h|` is at least a quarter of the mean over all zones. For temperatures b is zero. If there
+is a companion of size 3 h, their error is the larger of its scaled change and
+:math:`|X_h - X_{2h}|`, each times its factor in `FACTORS_OF_TWO_MESHES`.
 
 The factors a and b of each class were fitted to six hips and to scenes with heat. They were tested
-on other cases (docs/verification.md). Numbers of press fits have larger errors, whose factors were
-fitted to three such hips. A number outside these classes has the factor a of Richardson's
-extrapolation, :math:`1 / (2^p - 1)` with its order of convergence p, and no b. With that factor the
-true error exceeds the estimate more often, because contact begins and ends inside cells. The change
-to a companion of another mesh size is scaled to 2 h by the order of convergence in
-`case.quantities`.
+on other cases (docs/verification.md). Slips and tractions of press fits have larger errors, and at
+first order motions and stresses too; their factors were fitted to three such hips. A number outside
+these classes has the factor a of Richardson's extrapolation, :math:`1 / (2^p - 1)` with its order
+of convergence p, and no b. With that factor the true error exceeds the estimate more often, because
+contact begins and ends inside cells. The change to a companion of another mesh size is scaled to
+2 h by the order of convergence in `case.quantities`.
 
 Numbers that are zero do not enter medians. A number is zero if it is rounding compared with the
 largest number of its unit. It is also zero if it is small compared with that number and changes by
 at least its size.
 
-With friction the solution depends on the load path. The error of n load steps is then taken as
-C / n, as for an implicit Euler method. The companion of 2 h takes half the steps, which is cheaper.
-One companion of 3 h takes half the steps, another one all steps, and their difference gives C. If
-the run takes one step, they take one and two. In transient stages, half the steps means a tolerance
-for which the error of the time steps is twice as large.
+With friction or damage the solution depends on the load path. The error of n load steps is then
+taken as C / n, as for an implicit Euler method. The companion of 2 h takes half the steps, which is
+cheaper. One companion of 3 h takes half the steps, another one all steps, and their difference
+gives C. If the run takes one step, they take one and two. In transient stages, half the steps means
+a tolerance for which the error of the time steps is twice as large.
 """
 
 from __future__ import annotations
@@ -558,7 +558,7 @@ def _error(
     ]
     if not of_companions:
         return None
-    # Two solutions on one mesh with different steps give C. One of them is the last companion.
+    # Two solutions on one mesh with different steps give C / n. One is the last companion.
     last = of_companions[-1]
     on_mesh_of_last = [
         s
@@ -592,7 +592,7 @@ def _mesh_error(
     Args:
         of_run: The number of the run.
         on_coarser_meshes: The number of the companions on coarser meshes, one or more.
-        constant: C of the error of the steps.
+        constant: C / n, the error of the steps of the run.
         orders: Orders of convergence at first and second order.
         degree_index: Polynomial order of the displacement less one.
     """

@@ -104,7 +104,7 @@ class CaseFile:
         name: The file as named by the user.
         data: Mappings, lists and scalars.
         places: Place of each path.
-        complaints: Errors of reading.
+        complaints: Errors of reading, merging and overriding.
         incomplete: Paths of sections that complaints leave incomplete: more errors may be false.
         notes: Notes on what was read, such as former names of keys.
         given: Values of overrides as given, by key.

@@ -197,17 +197,14 @@ def _residuals(outcome: NewtonResult) -> str:
 def attempts(tried: Sequence[tuple[str, float]], steps: Sequence[float] = ()) -> str:
     """Number of remedies with the best of them, and the smallest halved step, in words.
 
-    The log reports each remedy when it is tried.
+    The log reports each remedy when it is tried. A remedy that converged has solved a problem with
+    switched contact, so it is not the best one.
     """
-    tried_text = "plain Newton only"
-    if tried:
-        best_remedy, residual = min(
-            tried, key=lambda attempt: np.nan_to_num(attempt[1], nan=np.inf)
-        )
-        tried_text = (
-            f"{len(tried)} remedies, of which the best ({best_remedy}) left a residual of "
-            f"{residual:.1e}"
-        )
+    tried_text = f"{len(tried)} remedies" if tried else "plain Newton only"
+    unsolved = [attempt for attempt in tried if np.isfinite(attempt[1])]
+    if unsolved:
+        best_remedy, residual = min(unsolved, key=lambda attempt: attempt[1])
+        tried_text += f", of which the best ({best_remedy}) left a residual of {residual:.1e}"
     if steps:
         tried_text += f"; steps halved down to {min(steps):.3g} of the stage"
     return tried_text

@@ -89,7 +89,7 @@ def texts_of_floating_bodies(problem: Problem, trial: TrialState, moved: bool = 
     Args:
         problem: The problem.
         trial: Its state.
-        moved: True to leave out `ContactMotions.unresisted`: no load moves bodies along them.
+        moved: True to leave out `ContactMotions.unresisted`: the solver removes these motions.
     """
     contact, body_names = trial.contact, problem.bodies.names
     x = contact.points.x

@@ -27,7 +27,7 @@ def result_note(function: ResultNote) -> ResultNote:
 
 
 def of_results(case: Case, numbers: Summary) -> list[Verdict]:
-    """Return notes on results: strains that are not small, stresses beyond the range of a law."""
+    """Return notes on results: large strains, stresses beyond a law's range, creep at order 1."""
     notes = [verdict for result_note in _RESULT_NOTES for verdict in result_note(case, numbers)]
     for name, q in numbers["regions"].items():
         creep = case.regions[name].creep

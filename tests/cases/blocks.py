@@ -44,7 +44,6 @@ supports:
   lid: {{kind: fixed, boundary: top}}
 stages: [{{name: first}}, {{name: second}}]
 """
-# A wall of two layers between a stove and air: 60 K over L1/k1 + 1/h + L2/k2 + 1/a, on 16 mm2.
 # A bar of two halves, each 2 mm long on 16 mm2, without interface, supports and loads.
 HALVES = """\
 geometry: {kind: blocks, blocks: [{name: lower, size: [4 mm, 4 mm, 2 mm]},
@@ -54,6 +53,7 @@ regions:
   lower: {youngs_modulus: 2 GPa, poisson_ratio: 0, tissue: other}
   upper: {youngs_modulus: 1 GPa, poisson_ratio: 0, tissue: other}
 """
+# A wall of two layers between a stove and air: 60 K over L1/k1 + 1/h + L2/k2 + 1/a, on 16 mm2.
 WALL = """
 geometry: {kind: blocks, blocks: [{name: hot, size: [4 mm, 4 mm, 5 mm]},
                                   {name: cold, size: [4 mm, 4 mm, 3 mm]}]}

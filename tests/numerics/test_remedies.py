@@ -46,7 +46,7 @@ def test_remedies_limits_of_friction_are_the_given_ones() -> None:
 def test_remedies_find_the_same_equilibrium_beyond_the_critical_friction(
     friction: float, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The coefficient is five times the critical one of 1.4.
+    """The coefficient is 3.6 and 5 times the critical one of 1.4.
 
     Each solver finds the solution on the same path.
     """

@@ -19,7 +19,7 @@ from tests import support
     ],
 )
 def test_jacobian_taylor_remainder_is_of_second_order(order: int, law: str, given: bool) -> None:
-    """|R(x + ε v) - R(x) - ε J v| falls with ε^2 at a solution with open, stick and slip points."""
+    """|R(x + ε v) - R(x) - ε J v| falls with ε^2 near a solution of a stem in contact."""
     solved = support.solve(support.STEM, f"mesh.order={order}", f"interfaces.stem_cement={law}")
     snes = solved.solver.snes
     x, J = solved.solver.x, snes.getJacobian()[0]
