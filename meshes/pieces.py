@@ -290,11 +290,22 @@ def _normals(data: MeshData, name: str, cell: Ints, middles: Floats) -> Floats:
 
 
 def coincident(points: Floats) -> Ints:
-    """Pairs of points (k, 2) that are equal but for rounding."""
-    from scipy.spatial import cKDTree  # 0.1 s, which most commands do without
+    """Pairs of points (k, 2) that are equal but for rounding.
 
+    Sorting along a random direction leaves few candidates.
+    """
     tolerance = COINCIDENT * float(np.linalg.norm(np.ptp(points, axis=0)))
-    return np.asarray(cKDTree(points).query_pairs(tolerance, output_type="ndarray"))
+    projections = points @ np.random.default_rng(0).normal(size=3)
+    order = np.argsort(projections)
+    sorted_, pairs = projections[order], [np.zeros((0, 2), dtype=np.int64)]
+    for shift in range(1, len(points)):
+        candidates = np.flatnonzero(sorted_[shift:] - sorted_[:-shift] <= 3 * tolerance)
+        if not len(candidates):
+            break
+        a, b = order[candidates], order[candidates + shift]
+        is_same = np.linalg.norm(points[a] - points[b], axis=1) <= tolerance
+        pairs.append(np.sort(np.column_stack([a, b])[is_same], axis=1))
+    return np.concatenate(pairs)
 
 
 def _doubled(
