@@ -384,11 +384,11 @@ class ContactInterfaces:
         return self.local.project_free(-e / self.local.weight[:, None])
 
     def multiplier(self, e: Floats) -> Floats:
-        """Multiplier F, the part of the trial force without r D (n, 3) [MPa].
+        """Multiplier, the part of the trial force without r G (n, 3) [MPa].
 
-        With an elastic layer of compliance C, contact is exact for the jump without the stretch of
-        the layer, D - C (F - F_old). F_old is the last friction; it has no normal part. The trial
-        force S = F + r (D - C (F - F_old)) gives this contact for any r.
+        Without a layer it is the traction F = -e/W. With an elastic layer of compliance c it is
+        F - r c (F - F_old), with F_old the friction of the last converged state, which has no
+        normal part. Contact then holds for the jump without the stretch of the layer, for any r.
         """
         F, layers = self.forces(e), np.eye(3) - self.laws.multiplier_share
         return F - np.einsum("pij,pj->pi", layers, F - self.state.friction)

@@ -34,7 +34,7 @@ class ContactGaps:
 
     Attributes:
         initial_gap: Vectors g of the initial gap at the current time and pairs (n, 3) [mm].
-        committed_jump: Committed jumps relative to the current pairs (n, 3) [mm].
+        committed_jump: Jumps of the committed state, expressed in the current pairs (n, 3) [mm].
         insertion_time: Time up to which the gap of press fits changes.
 
     Args:
@@ -138,7 +138,7 @@ class ContactGaps:
 
     @property
     def is_inserting(self) -> bool:
-        """True if the gap of a press fit changed in the last committed step."""
+        """True if the last committed step ended before all press fits have their final gap."""
         return 0.0 < self._committed_time <= self.insertion_time
 
     @property

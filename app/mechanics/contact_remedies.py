@@ -58,8 +58,8 @@ class ContactRemedies:
     def constrain(self) -> bool:
         """Constrain interfaces that have to close to hold a body; collective.
 
-        Constrained are interfaces that are open everywhere, and partly open ones of a body that
-        neither supports nor touching points hold. The sides of a constrained interface touch and
+        Two kinds of interfaces are constrained: those without a touching point, and those with open
+        points whose body neither supports nor touching points hold. Their sides then touch and
         stick, which moves the body into contact.
 
         Returns:
@@ -119,7 +119,9 @@ class ContactRemedies:
         self.switches = replace(self.switches, freezes_variables=False)
 
     def begin_tresca_friction(self) -> bool:
-        """Limit friction by given pressures, zero at first; collective.
+        """Limit friction by pressures that are given, not by those of the state; collective.
+
+        They begin at zero, so the first solve has no friction.
 
         The problem with given pressures is that of Tresca: it is convex, and has one solution.
         Friction of the debonded area of a cohesive law stays as it is.
@@ -135,10 +137,10 @@ class ContactRemedies:
         return has_friction
 
     def relax_tresca_friction(self, share: float) -> float:
-        """Move the given pressures by a share towards those of the last evaluation; collective.
+        """Move the stored trial forces by a share towards those of the last evaluation; collective.
 
         Returns:
-            Norm of the difference of the trial forces over that of the last ones [-].
+            Size of the difference before the move, over the size of the last trial forces [-].
 
         Raises:
             ValueError: Friction is not limited by given pressures.

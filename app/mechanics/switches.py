@@ -3,7 +3,8 @@
 `numerics.remedies` asks `mechanics.contact_remedies` for a change and ends it. The changes are one
 value, `Switches`, that `PointLaws.evaluate` takes. The laws themselves keep no trace.
 
-The augmentation is no switch: results do not depend on it (`PointLaws.scale_augmentation`).
+Remedies also scale the augmentation (`PointLaws.scale_augmentation`). It is no switch, because it
+does not change the solution.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ def tresca_response(
             ``r`` (n,) [MPa/mm].
         response: Outputs of the law under the pressures of the state.
         normals: Normals of the faces, zero beyond their number (n, 3, 3).
-        excess: Trial force with the given pressures minus that of the state (n, 3) [MPa].
+        excess: Stored trial force minus that of the state (n, 3) [MPa].
 
     Returns:
         Outputs of the law: normal force of the state, friction under the given pressures.

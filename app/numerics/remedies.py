@@ -15,8 +15,9 @@ from app.numerics.system import SolvedContact
 
 log = logging.getLogger("mantle")
 
-# Factors of the augmentation in the order of trial; mostly it is too large. True: Newton continues
-# from the current state; False: from the start. None: the line search is switched instead.
+# Factors of the augmentation in the order of trial. Mostly it is too large, so small ones come
+# first. True: Newton continues from the current state; False: from the start. None: the line search
+# is switched instead.
 AUGMENTATIONS = ((0.1, True), (0.01, True), None, (100.0, False), (0.1, False), (0.01, False), None)
 # Factors of the default augmentation, tried last if the case sets another one.
 DEFAULT_FACTORS = (1.0, 0.1, 0.01)
@@ -24,7 +25,7 @@ DEFAULT_FACTORS = (1.0, 0.1, 0.01)
 # `stress/stem.yaml`, where the critical friction coefficient is 1.4, a coefficient of 10 needs
 # shares down to 0.25, and one of 1000 the smallest.
 SHARES = (0.5, 0.25, 0.125, 0.0625, 0.03, 0.015)
-# Given pressures and those of the state are the same below this relative difference [-].
+# Given pressures have reached those of the state if they differ by less than this fraction [-].
 SAME_PRESSURES = 1e-3
 # Largest number of updates that do not halve this difference. Then the next share is tried.
 MOST_UPDATES = 20
@@ -92,7 +93,9 @@ def solve(solver: Solver) -> NewtonResult:
 
 
 def _refine(solver: Solver, contact: SolvedContact) -> tuple[float, tuple[int, int]]:
-    """Continue with the default augmentation: gaps and slips are wrong by the residual over r.
+    """Solve again with the default augmentation.
+
+    A residual f leaves errors f / r in gaps and slips, which are large where r is small.
 
     Returns:
         The augmentation of the solution; Newton and Krylov iterations.
@@ -114,7 +117,7 @@ def _refine(solver: Solver, contact: SolvedContact) -> tuple[float, tuple[int, i
 def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
     """Apply one remedy after the other until Newton has converged; yield each in words.
 
-    An empty text continues the last one.
+    An empty text is a further run of the last remedy. It is neither logged nor recorded.
 
     1. Interfaces that have to close before a body is held are constrained, then released. A body
        with clearance, or one that touches along an edge only, thus comes into contact.
@@ -197,7 +200,7 @@ def _with_switched_interfaces(
     switched_remedy: str,
     usual_remedy: str,
 ) -> Iterator[str]:
-    """Solve from the start with switched interfaces, then from this state with the usual ones.
+    """Solve the changed problem from the start, undo the change, and solve the usual problem.
 
     Args:
         solver: The solver. If a body has run away, its state is the start again.
