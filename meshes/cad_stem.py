@@ -66,14 +66,19 @@ def outline(x: Floats, origin: Floats, plane: Floats) -> Floats:
     return np.asarray(origin + exit_points.T @ plane)
 
 
+def side_lengths(x: Floats) -> Floats:
+    """Distances of the points of a closed outline (n, 2 or 3) from the next ones (n,) [mm]."""
+    return np.asarray(np.sqrt(((np.roll(x, -1, axis=0) - x) ** 2).sum(axis=1)))
+
+
 def outline_length(x: Floats) -> float:
-    """Length of an outline [mm]."""
-    return float(np.sqrt(((x - np.roll(x, 1, axis=0)) ** 2).sum(axis=1)).sum())
+    """Length of a closed outline (n, 2 or 3) [mm]."""
+    return float(side_lengths(x).sum())
 
 
 def fractions_around(x: Floats) -> Floats:
     """Parts of the length around before points of a closed outline (n, 3); shape (n,)."""
-    length = np.sqrt(((np.roll(x, -1, axis=0) - x) ** 2).sum(axis=1))
+    length = side_lengths(x)
     return np.asarray((np.cumsum(length) - length) / length.sum())
 
 
@@ -240,7 +245,7 @@ def _beside_notches(x: Floats, turns: Floats) -> tuple[Floats, Floats]:
     Returns:
         Points and their lines, with both ends of each notch once more at its middle line.
     """
-    length = np.sqrt(((np.roll(x, -1, axis=0) - x) ** 2).sum(axis=1))
+    length = side_lengths(x)
     beside = np.maximum(np.roll(length, 1), np.roll(length, -1))
     first = np.flatnonzero((length > NOTCH_RATIO * beside) & (length < WIDEST_NOTCH))
     second = (first + 1) % len(x)

@@ -27,7 +27,7 @@ from app.foundation.implant import Implant
 from app.foundation.layout import two_digits
 from meshes import femur_stem
 from meshes.bone_layers import BoneLayers
-from meshes.cad_stem import CadStem
+from meshes.cad_stem import CadStem, outline_length
 from meshes.femur_stem import StemAboveCut
 from meshes.layers import DIGITS_OF_NODES, Lines, Nodes, Sections, root
 from meshes.placement import LEAST_SHOULDER_DEPTH
@@ -319,8 +319,7 @@ class LayeredSurfaces:
         thickness = implant.collar_thickness
         if not thickness:
             return last
-        edges = np.diff(self.outline(), axis=0, append=self.outline()[:1])
-        line_distance = float(np.sqrt((edges**2).sum(axis=1)).mean())
+        line_distance = outline_length(self.outline()) / self.around
         steps = max(self.mesh.steps(thickness), round(thickness / (COLLAR_CELL * line_distance)))
         # The station of the stem alone that is as high above the cut, around medial in the mean.
         on_cut = self._medial_points(0.0)

@@ -123,6 +123,7 @@ class Nodes:
         merged: True where mantle and endosteum coincide.
         error: Used thickness of the layer between them less the exact one [mm].
         floor: Least thickness of that layer [mm].
+        thickness: Used thickness of that layer [mm]; 0 for nodes on no line.
         x: Positions (n, 3) [mm].
     """
 
@@ -132,6 +133,7 @@ class Nodes:
     merged: Bools
     error: Floats
     floor: Floats
+    thickness: Floats
     x: Floats
 
     def __len__(self) -> int:

@@ -83,9 +83,7 @@ class Swept:
         moved_by = np.where(nodes.merged[mantle], np.maximum(-nodes.error[mantle], 0.0), deviation)[
             at_mantle
         ]
-        layer = mantle & ~nodes.merged
-        gap = surfaces.lines(nodes.phi[layer] / (2 * surfaces.around), nodes.s[layer] / 2).gap
-        thickness = gap + nodes.error[layer]
+        thickness = nodes.thickness[mantle & ~nodes.merged]
         return {
             "lines_around": surfaces.around,
             "steps_along": sum(segment.steps for segment in surfaces.segments),
@@ -360,6 +358,7 @@ def _grid(surfaces: LayeredSurfaces, body: ReferenceBody) -> tuple[Nodes, Ints]:
         merged=~in_core & merged[at] & (rho >= 2) & (rho <= 3),
         error=np.where(in_core, 0.0, np.where(merged, -layers.gap, 0.0)[at]),
         floor=np.where(in_core, 0.0, np.where(merged, 0.0, layers.floor)[at]),
+        thickness=np.zeros(len(line_of_node)),
         x=np.zeros((len(line_of_node), 3)),
     )
     nodes = _place(surfaces, nodes)
@@ -393,10 +392,10 @@ def _place(surfaces: LayeredSurfaces, nodes: Nodes) -> Nodes:
         np.where(rho <= 3, mantle + (rho - 2) * (bone - mantle), bone + (rho - 3) * (1 - bone)),
     )
     fraction = np.where(merged, bone, fraction)
-    x, error = nodes.x.copy(), nodes.error.copy()
+    x, error, used_thickness = nodes.x.copy(), nodes.error.copy(), nodes.thickness.copy()
     x[on_line] = start + fraction[:, None] * (end - start)
-    error[on_line] = np.where(merged, -gap, thickness - gap)
-    return replace(nodes, x=np.round(x, DIGITS_OF_NODES), error=error)
+    error[on_line], used_thickness[on_line] = thickness - gap, thickness
+    return replace(nodes, x=np.round(x, DIGITS_OF_NODES), error=error, thickness=used_thickness)
 
 
 def _floor(surfaces: LayeredSurfaces, bone: Floats) -> Floats:
@@ -487,6 +486,7 @@ def _middles(swept_mesh: Swept, a: Ints, b: Ints) -> Nodes:
         merged=both_merged & ~is_inner,
         error=np.where(is_inner, 0.0, 0.5 * (nodes.error[a] + nodes.error[b])),
         floor=np.where(is_inner, 0.0, 0.5 * (nodes.floor[a] + nodes.floor[b])),
+        thickness=np.zeros(len(a)),
         x=0.5 * (nodes.x[a] + nodes.x[b]),
     )
     tip = 2 * swept_mesh.surfaces.tip

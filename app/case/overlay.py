@@ -87,7 +87,7 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
 
 
 def file_kind(data: Mapping[str, object]) -> str:
-    """Kind of a file by its keys: case, study, fit or sweep; empty if they do not tell."""
+    """Return the kind of a file by its keys: case, study, fit or sweep; empty if none decides."""
     keys_of_kind = {"case": {"geometry"}, "study": {"study"}, "fit": {"fit"}, "sweep": AXES}
     return next((kind for kind, keys in keys_of_kind.items() if keys & data.keys()), "")
 
@@ -204,7 +204,7 @@ def _forget_places_below(case: CaseFile, path: Path) -> None:
 def _place_in_time(case: CaseFile, given_places: Mapping[Path, Place]) -> None:
     """Record the loads that use the common history or cycle table, for messages.
 
-    Their own key gets the place of the common one.
+    The key of each of these loads gets the place of the common key.
     """
     loads = case.data.get("loads")
     if not isinstance(loads, dict):  # absent or wrong

@@ -7,8 +7,8 @@ stiffness of the body. The equilibrium of a linear scene is
           \qquad C = \sum_b K_b B_b, \quad D = \sum_b B_b^T K_b B_b, \quad f_q = \sum_b B_b^T f_b,
 
 with W the diagonal matrix of the areas of the contact points, and F their tractions [MPa]. So F is
--e/W, with e = C^T u + D q - f_q. With the gap vector G(q), the law F = P(F + r G(q)) is then one
-equation per point:
+-e/W, with e = C^T u + D q - f_q. With the gap vector, here called G(q) as D is a matrix, the law
+F = P(F + r G(q)) is one equation per point:
 
 .. math:: e + W P(-e/W + r G(q)) = 0.
 

@@ -34,7 +34,7 @@ class ContactRemedies:
         local: The points of this rank.
         laws: Laws at the points of this rank.
         motions: Rigid motions of the bodies at the points.
-        touching: Returns a mask of the points that touch in the committed state (n,).
+        touching: Returns a mask of the points that touch (n,).
     """
 
     def __init__(

@@ -57,7 +57,7 @@ def solve(solver: Solver) -> NewtonResult:
             log.info("     %s: %s", failure_text(solver), remedy)
         runs.append(solver.run())
         if remedy:
-            # If another run follows a converged one, this one had switched contact.
+            # A converged run that is not the last one solved a problem with switched contact.
             tried.append((remedy, math.inf if solver.converged else solver.residuals[-1]))
     augmentation = solver.augmentation
     if (

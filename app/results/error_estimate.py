@@ -565,25 +565,26 @@ def _error(
         for s in (of_run, *of_companions[:-1])
         if s.coarsening == last.coarsening and s.steps != last.steps
     ]
-    constant = np.zeros(last.value.shape)
-    for other in on_mesh_of_last[:1]:
-        constant += (other.value - last.value) / (1 / other.steps - 1 / last.steps)
-    # If C is known, a companion with more steps than the run serves for nothing else.
+    step_error = np.zeros(last.value.shape)
+    if on_mesh_of_last:
+        other = on_mesh_of_last[0]
+        step_error += (other.value - last.value) / (1 / other.steps - 1 / last.steps)
+    # If C / n is known, a companion with more steps than the run has no further use.
     on_coarser_meshes = [
         s
         for s in of_companions
         if s.coarsening > LEAST_COARSENING and (s.steps <= 1 or not on_mesh_of_last)
     ]
-    error = np.abs(constant)
+    error = np.abs(step_error)
     if on_coarser_meshes:
-        error = _mesh_error(of_run, on_coarser_meshes, constant, orders, degree_index) + error
+        error = _mesh_error(of_run, on_coarser_meshes, step_error, orders, degree_index) + error
     return cast(ErrorValue, np.asarray(error).tolist())
 
 
 def _mesh_error(
     of_run: _Solution,
     on_coarser_meshes: Sequence[_Solution],
-    constant: Floats,
+    step_error: Floats,
     orders: Orders,
     degree_index: int,
 ) -> Floats:
@@ -592,7 +593,7 @@ def _mesh_error(
     Args:
         of_run: The number of the run.
         on_coarser_meshes: The number of the companions on coarser meshes, one or more.
-        constant: C / n, the error of the steps of the run.
+        step_error: C / n, the error of the steps of the run.
         orders: Orders of convergence at first and second order.
         degree_index: Polynomial order of the displacement less one.
     """
@@ -600,7 +601,7 @@ def _mesh_error(
 
     def change(other: _Solution) -> Floats:
         """Return the change to another mesh without the effect of its steps, scaled to 2 h."""
-        without_steps = other.value - constant * (1 / other.steps - 1)
+        without_steps = other.value - step_error * (1 / other.steps - 1)
         return abs(of_run.value - without_steps) * (2**order - 1) / (other.coarsening**order - 1)
 
     finest = min(on_coarser_meshes, key=lambda s: s.coarsening)

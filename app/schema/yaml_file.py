@@ -181,7 +181,7 @@ class CaseFile:
                 # There are no lines to indent.
                 full_key = path_text((*path[:-1], fault.section, path[-1]))
                 text = f"unknown key; expected {full_key}"
-            where = f"{self.option}{path_text((place,))}{of_key}"
+            where = printable(f"{self.option}{path_text((place,))}{of_key}")
             return LAST, replace(verdict, what=printable(text), where=where)
         file, line, column = place
         where = printable(f"{file}:{line}:{column}{of_key}")

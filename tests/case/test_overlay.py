@@ -316,6 +316,11 @@ def test_overlay_reading_time_is_linear(tmp_path: Path) -> None:
         ),
         ("{}", ("loads.history=[0, x]",), ["--set loads.history: loads.history[1]: 'x' is"]),
         (
+            "{}",
+            ("loads.a\x1b[31m.b=1",),
+            ["--set loads.a\\x1b[31m.b: "],
+        ),
+        (
             "{history: [0, 1]}",
             ("loads.history[0]=1", "loads.library[0]=gait"),
             [
