@@ -1,7 +1,7 @@
 """Sparse Cholesky factors by CHOLMOD that stop before the last unknowns.
 
 PETSc accepts no ordering from outside and shows no block of a factor. The module therefore calls
-CHOLMOD directly. cffi compiles the calls at first use, in the cache of compiled forms.
+CHOLMOD directly.
 
 CHOLMOD has no call for a Schur complement, but computes one: before it factors the last supernode,
 the block of this supernode holds :math:`-E^T A^{-1} E`. The first pivot of the block is set to -1,
@@ -10,22 +10,16 @@ so that LAPACK stops there at once. CHOLMOD then calls its error handler, which 
 
 from __future__ import annotations
 
-import hashlib
-import importlib.util
-import os
-import tempfile
 from functools import cache, partial
-from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import Any
 
 import cffi
 import numpy as np
-from dolfinx import jit
 from scipy.sparse import csc_array, csr_array
 
 from app.foundation.arrays import Floats, Ints
-from app.foundation.captured import captured
+from app.numerics.compiled import compiled
 from app.numerics.dense import mirror_upper
 
 # What is used of CHOLMOD; cffi finds what the dots stand for in its header.
@@ -95,26 +89,16 @@ SEPARATE_COLUMNS = 49
 @cache
 def library() -> Any:
     """CHOLMOD; None where it cannot be compiled against."""
-    folder = Path(jit.get_options()["cache_dir"])
     try:
-        header = (Path("/usr/include") / HEADER).read_text()
-        key = hashlib.sha256((C_DECLARATIONS + C_SOURCE + header).encode()).hexdigest()[:12]
-        name = f"mantle_cholmod_{key}"
-        path = folder / (name + EXTENSION_SUFFIXES[0])
-        if not path.exists():
-            folder.mkdir(parents=True, exist_ok=True)
-            ffi = cffi.FFI()
-            ffi.cdef(C_DECLARATIONS)
-            ffi.set_source(name, f"#include <{HEADER}>\n{C_SOURCE}", libraries=["cholmod"])
-            with tempfile.TemporaryDirectory(dir=folder) as build, captured("cffi"):
-                os.replace(ffi.compile(tmpdir=build), path)
-        spec = importlib.util.spec_from_file_location(name, path)
-        assert spec and spec.loader
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
+        return compiled(
+            "cholmod",
+            C_DECLARATIONS,
+            f"#include <{HEADER}>\n{C_SOURCE}",
+            version=(Path("/usr/include") / HEADER).read_text(),
+            libraries=["cholmod"],
+        )
     except (OSError, ImportError, cffi.VerificationError):
         return None
-    return module
 
 
 def _free_factors(ffi: Any, lib: Any, common: Any, L: Any) -> None:

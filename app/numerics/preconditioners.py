@@ -18,6 +18,7 @@ from dolfinx.fem.petsc import interpolation_matrix
 from app.foundation.arrays import Bools, Floats
 from app.numerics.lifetime import function_space
 from app.numerics.rigid_motions import rigid_modes
+from app.numerics.single_precision import SinglePrecision
 
 Options = dict[str, str | int | float | bool]
 PETSC = ctypes.CDLL(PETSc.__file__)
@@ -185,7 +186,7 @@ class Inverse:
         self._matrix, self._version, self.coarse_order = matrix, version, coarse_order
         self._options = dict(options)
         self._set_up_version: int | None = None
-        self._operator = matrix  # in blocks of three where that is faster
+        self._smoothed: SinglePrecision | None = None  # what multigrid by degree smooths with
         self.pc = PETSc.PC().create(matrix.comm)
         self._krylov = PETSc.KSP().create(matrix.comm)
         self._krylov.setType("cg")
@@ -218,12 +219,13 @@ class Inverse:
         pc = self.pc
         pc.setReusePreconditioner(False)
         pc.setOptionsPrefix(f"mantle_inverse_{id(self)}_")
-        self._operator = self._matrix
+        pc.setOperators(self._matrix)
         if self._options["pc_type"] == MULTIGRID_BY_DEGREE["pc_type"]:
             pc.reset()  # levels would keep the diagonal blocks of the matrix before
             self._set_coarse_level()
-            self._operator = self._matrix.convert("baij", PETSc.Mat())
-        pc.setOperators(self._operator)
+            self._smoothed = SinglePrecision(self._matrix)
+            pc.setUseAmat(True)
+            pc.setOperators(self._smoothed.matrix, self._matrix)
         configure(pc, self._options)
         if pc.getFailedReason() == PETSc.PC.FailedReason.FACTOR_OUTMEMORY:
             raise MemoryError(f"factorization of a matrix of {self.size:,} unknowns")
@@ -261,7 +263,7 @@ class Inverse:
         if self.outdated:
             self.refresh()
         self._krylov.setPC(self.pc)
-        self._krylov.setOperators(self._operator)
+        self._krylov.setOperators(self._matrix)
         self._krylov.setTolerances(rtol=rtol)
         self._krylov.solve(b, x)
         return int(self._krylov.getIterationNumber())

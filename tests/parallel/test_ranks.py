@@ -289,6 +289,36 @@ except InputError as error:
 else:
     raise AssertionError
 """
+# A product of small integers, with which single precision is exact; the last rank has no rows.
+PRODUCT = """
+from mpi4py import MPI
+import numpy as np
+from app.numerics.single_precision import SinglePrecision
+from app.numerics.sparse import from_triplets
+
+comm, points = MPI.COMM_WORLD, 20
+rng = np.random.default_rng(2)
+pairs = rng.integers(0, points, (60, 2))
+dense = np.zeros((points, 3, points, 3))
+for i, j in [*pairs, *zip(range(points), range(points))]:
+    dense[i, :, j, :] = rng.integers(-9, 9, (3, 3))
+dense = dense.reshape(3 * points, -1)
+dense += dense.T
+x = rng.integers(-9, 9, 3 * points).astype(float)
+ends = np.append(0, np.linspace(0, points, comm.size).astype(int))
+first, last = 3 * ends[comm.rank], 3 * ends[comm.rank + 1]
+blocks = np.abs(dense).reshape(points, 3, points, 3).sum(axis=(1, 3))
+rows, columns = np.nonzero(np.kron(blocks > 0, np.ones((3, 3))))
+own = (rows >= first) & (rows < last)
+rows, columns = rows[own], columns[own]
+size = int(last - first)
+A = from_triplets(comm, size, size, rows - first, columns, dense[rows, columns])
+vector, product = A.createVecs()
+vector.array[:] = x[first:last]
+single = SinglePrecision(A)
+single.matrix.mult(vector, product)
+np.testing.assert_array_equal(product.array, (dense @ x)[first:last])
+"""
 # Draws the page of a folder on all ranks.
 PAGE = """
 import sys
@@ -305,6 +335,13 @@ def test_ranks_share_tasks_and_errors(tmp_path: Path) -> None:
     program = tmp_path / "tasks.py"
     program.write_text(DEALT)
     support.on_ranks(3, program)
+
+
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_ranks_product_in_single_precision(ranks: int, tmp_path: Path) -> None:
+    program = tmp_path / "product.py"
+    program.write_text(PRODUCT)
+    support.on_ranks(ranks, program)
 
 
 def test_ranks_share_the_pictures_of_a_page(tmp_path: Path) -> None:
