@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import os
 import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib.machinery import EXTENSION_SUFFIXES
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import cffi
 from dolfinx import jit
 
 from app.foundation.captured import captured
+from app.system import form_cache
 
 
 def compiled(
@@ -26,7 +28,7 @@ def compiled(
     libraries: Sequence[str] = (),
     flags: Sequence[str] = (),
 ) -> Any:
-    """Compile C code by cffi, unless the cache has it, and load the module.
+    """Load a module of C code; compile it first unless the cache has it.
 
     Args:
         name: Beginning of the module's name.
@@ -41,19 +43,34 @@ def compiled(
         ImportError: The module cannot be loaded.
         OSError: The cache cannot be written.
     """
-    folder = Path(jit.get_options()["cache_dir"])
     text = "\n".join([declarations, source, version, *libraries, *flags])
     name = f"mantle_{name}_{hashlib.sha256(text.encode()).hexdigest()[:12]}"
-    path = folder / (name + EXTENSION_SUFFIXES[0])
-    if not path.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        ffi = cffi.FFI()
-        ffi.cdef(declarations)
-        ffi.set_source(name, source, libraries=list(libraries), extra_compile_args=list(flags))
-        with tempfile.TemporaryDirectory(dir=folder) as build, captured("cffi"):
-            os.replace(ffi.compile(tmpdir=build), path)
-    spec = importlib.util.spec_from_file_location(name, path)
+    folder = Path(jit.get_options()["cache_dir"])
+    if form_cache.usable(folder, name):
+        with suppress(ImportError):  # a damaged module is compiled again
+            return _load(folder, name)
+    folder.mkdir(parents=True, exist_ok=True)
+    ffi = cffi.FFI()
+    ffi.cdef(declarations)
+    ffi.set_source(name, source, libraries=list(libraries), extra_compile_args=list(flags))
+    with tempfile.TemporaryDirectory(dir=folder) as build:
+        with captured("compiler") as compiler_output:
+            try:
+                module = Path(ffi.compile(tmpdir=build))
+            except cffi.VerificationError as error:
+                error.add_note("\n".join(compiler_output()))
+                raise
+        # Other processes may compile the same: files come whole, the mark of completeness last.
+        mark = module.with_name(f"{name}.c.cached")
+        mark.write_text(str(module.stat().st_size))
+        for path in (module.with_name(f"{name}.c"), module, mark):
+            os.replace(path, folder / path.name)
+    return _load(folder, name)
+
+
+def _load(folder: Path, name: str) -> Any:
+    spec = spec_from_file_location(name, folder / (name + EXTENSION_SUFFIXES[0]))
     assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
+    module = module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

@@ -29,7 +29,8 @@ T = TypeVar("T")
 log = logging.getLogger("mantle")
 
 LOCK = "compiling.lock"
-SOURCES = ("ffcx/codegeneration/jit.py", "dolfinx/jit.py")
+# Files that compile, by which an error in them is recognized.
+SOURCES = ("ffcx/codegeneration/jit.py", "dolfinx/jit.py", "app/numerics/compiled.py")
 # File descriptors of the lock file, open while this process compiles.
 _locks: list[int] = []
 # Name of the first module compiled here, once the log says so.
