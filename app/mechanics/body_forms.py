@@ -22,7 +22,7 @@ import basix
 import basix.ufl
 import numpy as np
 import ufl
-from dolfinx import default_scalar_type, fem, la
+from dolfinx import default_scalar_type, fem, jit, la
 from dolfinx.fem import IntegralType
 from dolfinx.fem.forms import CompiledForm
 from dolfinx.fem.petsc import assemble_matrix, assemble_vector
@@ -52,6 +52,16 @@ Domains = list[tuple[int, NDArray[np.int32]]]
 MOMENT_DEGREE = 8
 # The same of moduli from images, whose 14 weights are positive; of degree 3 one is negative.
 IMAGE_DEGREE = 4
+# The compiler may reorder sums and so use vector instructions: 1.06 instead of 1.55 s for the
+# stiffness of 35,000 cells of second order.
+REORDERED_SUMS = {
+    "cffi_extra_compile_args": [
+        *jit.get_options()["cffi_extra_compile_args"],
+        "-fassociative-math",
+        "-fno-signed-zeros",
+        "-fno-trapping-math",
+    ]
+}
 
 
 class SurfaceMeasure:
@@ -411,7 +421,7 @@ class BodyForms:
         # Expanded, so that terms that drop out do not count among its coefficients.
         form = expand_derivatives(ufl.derivative(ufl.derivative(energy, self.u, v), self.u, w))
         with self.timing.phase("compile", "stiffness"):
-            return fem.compile_form(self.mesh.comm, form)
+            return fem.compile_form(self.mesh.comm, form, jit_options=REORDERED_SUMS)
 
     def stiffness(self) -> fem.Form:
         """Stiffness of all bodies moving with u, supports not yet applied."""
