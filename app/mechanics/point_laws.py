@@ -309,7 +309,10 @@ class PointLaws:
             return kernel.named(numbers, **inputs)
 
         H, M = self._points.prescribed_tangents[rows], self.multiplier_share[rows]
-        return partial(prescribed_slip.respond, compiled, H=H, M=M, last_friction=last_friction)
+        μ = self._constants["μ"][rows] if "μ" in self._constants else 0.0
+        return partial(
+            prescribed_slip.respond, compiled, H=H, M=M, last_friction=last_friction, μ=μ
+        )
 
     def _add_debonded_contact(
         self,

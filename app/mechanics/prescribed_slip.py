@@ -38,8 +38,10 @@ SLIP_ROUNDING = 1e-13
 REST_TOLERANCE = 1e-11
 # The force along a prescribed jump has converged within this fraction of the trial force.
 FORCE_TOLERANCE = 1e-12
-# First ratio of the upper bound of that force to the trial force [-]: larger than any known μ.
-UPPER_BOUND = 1e3
+# Upper bound of that force over the trial force [-]: the larger of `LEAST_BOUND` and `BOUND_BY_μ`
+# times μ. At an edge the pressures of the faces together may exceed the trial force.
+LEAST_BOUND = 1e3
+BOUND_BY_μ = 10.0
 
 # Inputs and outputs of a law at n points, by name: (n, ...).
 Inputs = Mapping[str, Floats]
@@ -91,7 +93,12 @@ class PrescribedSlip:
 
 
 def respond(
-    law: LawAtPoints, inputs: Inputs, H: Floats, M: Floats, last_friction: Floats
+    law: LawAtPoints,
+    inputs: Inputs,
+    H: Floats,
+    M: Floats,
+    last_friction: Floats,
+    μ: Floats | float = 0.0,
 ) -> Outputs:
     """Return the outputs of a law, with its force along prescribed tangential jumps.
 
@@ -102,6 +109,7 @@ def respond(
         H: Projectors on the prescribed tangential directions (n, 3, 3).
         M: Share of the multiplier in the trial force (n, 3, 3) [-].
         last_friction: Friction in the last converged state (n, 3) [MPa].
+        μ: Friction coefficients (n,) [-], for the upper bound of F_h.
 
     Returns:
         Outputs of the law. ``by_multiplier`` is the total derivative, with the change of F_h.
@@ -111,9 +119,11 @@ def respond(
     slip = PrescribedSlip.of(inputs, H, last_friction)
     is_sliding, direction = slip.is_sliding, slip.direction
     n = len(is_sliding)
-    lower, upper = np.zeros(n), UPPER_BOUND * slip.scale
+    bound = np.maximum(LEAST_BOUND, BOUND_BY_μ * μ)
+    lower, upper = np.zeros(n), bound * slip.scale
     size, last_residual = upper.copy(), np.full(n, np.inf)
-    tolerance = FORCE_TOLERANCE * slip.scale
+    # Rounding grows with the bound.
+    tolerance = FORCE_TOLERANCE * slip.scale * (bound / LEAST_BOUND)
 
     def response_to(size: Floats) -> Outputs:
         """Return the outputs of the law for a size of F_h (n,) [MPa]."""

@@ -21,7 +21,8 @@ log = logging.getLogger("mantle")
 AUGMENTATIONS = ((0.1, True), (0.01, True), None, (100.0, False), (0.1, False), (0.01, False), None)
 # Factors of the default augmentation, tried last if the case sets another one.
 DEFAULT_FACTORS = (1.0, 0.1, 0.01)
-# Shares by which given pressures follow those of the state, in the order of trial. In
+# Shares by which given pressures follow those of the state, in the order of trial. A smaller share
+# serves pressures that do not settle; after a solve that fails no further share is tried. In
 # `stress/stem.yaml`, where the critical friction coefficient is 1.4, a coefficient of 10 needs
 # shares down to 0.25, and one of 1000 the smallest.
 SHARES = (0.5, 0.25, 0.125, 0.0625, 0.03, 0.015)
