@@ -7,10 +7,10 @@ stiffness of the body. The equilibrium of a linear scene is
           \qquad C = \sum_b K_b B_b, \quad D = \sum_b B_b^T K_b B_b, \quad f_q = \sum_b B_b^T f_b,
 
 with W the diagonal matrix of the areas of the contact points, and F their tractions [MPa]. So F is
--e/W, with e = C^T u + D q - f_q. With the gap vector, here called G(q) as D is a matrix, the law
-F = P(F + r G(q)) is one equation per point:
+-e/W, with e = C^T u + D q - f_q. Without elastic layers F is the multiplier, too. With the vector
+ΔG(q) of `forms.contact`, the law F = P(F + r ΔG) is then one equation per point:
 
-.. math:: e + W P(-e/W + r G(q)) = 0.
+.. math:: e + W P(-e/W + r ΔG(q)) = 0.
 
 Its Jacobian rows are (1 - P') [C^T, D] + r W P'. At open points (P' = 0) the row is equilibrium. At
 points that stick (P' = 1) the row prescribes the jump. If all points stick from rest and without
@@ -384,10 +384,10 @@ class ContactInterfaces:
         return self.local.project_free(-e / self.local.weight[:, None])
 
     def multiplier(self, e: Floats) -> Floats:
-        """Multiplier, the part of the trial force without r G (n, 3) [MPa].
+        """Multiplier λ, the part of the trial force without r ΔG (n, 3) [MPa].
 
         Without a layer it is the traction F = -e/W. With an elastic layer of compliance c it is
-        F - r c (F - F_old), with F_old the friction of the last converged state, which has no
+        λ = F - r c (F - F_old), with F_old the friction of the last converged state, which has no
         normal part. Contact then holds for the jump without the stretch of the layer, for any r.
         """
         F, layers = self.forces(e), np.eye(3) - self.laws.multiplier_share

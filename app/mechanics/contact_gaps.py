@@ -1,6 +1,6 @@
 r"""Gaps of the contact points, over time and as points slide to other places.
 
-The gap vector of a point is D = q + g, with its jump q and the vector g of its initial gap. The
+The gap vector of a point is G = q + g, with its jump q and the vector g of its initial gap. The
 keys of an interface and their history give the initial gap at a time. In small sliding nothing else
 changes it. In finite sliding it is that of the point on the other side with which the contact point
 was paired last, at the jump q_0 and the distance d along the normal n,
@@ -160,7 +160,7 @@ class ContactGaps:
         return gap
 
     def gap_vector(self, jump: Floats) -> Floats:
-        """Gap vectors D of jumps (n, 3) [mm]; in finite sliding along the normal alone."""
+        """Gap vectors G of jumps (n, 3) [mm]; in finite sliding along the normal alone."""
         gaps = jump + self.initial_gap
         if self._finite_sliding is not None:
             rows = self._finite_sliding.rows

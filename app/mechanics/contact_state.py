@@ -108,7 +108,7 @@ class ContactState:
         inserted: Jump when the gap of press fits last changed (n, 3) [mm].
         force: Interface force per area, conjugate to the jump (n, 3) [MPa].
         friction: Friction part of the force (n, 3) [MPa].
-        gap_vector: Gap vector D, the jump plus the initial gap (n, 3) [mm].
+        gap_vector: Gap vector G, the jump plus the initial gap (n, 3) [mm].
         slip: Slip (n, 3) [mm]; `mechanics.contact.TrialState.slip` defines it.
         step_slip: Length of sliding in contact in the last step (n,) [mm].
         path: Length of the path of sliding in contact (n,) [mm].

@@ -5,12 +5,12 @@ slave is at :math:`X - c + q` from the centre c of the master's rotation, wherev
 and normal of the surface therefore follow from q alone, in axes rotated by R. They are linearized
 about the jumps q_0 at which the points were paired with the surface last,
 
-.. math:: D_n = g + n · (q - q_0).
+.. math:: G_n = g + n · (q - q_0).
 
 The slip of a step is the motion less that of the body's surface. With w the rotation vector of the
 step and a the arm of the touching point,
 
-.. math:: D_T = (1 - n ⊗ n) (q - q_{ref}), \qquad q_{ref} = q_{old} + w × a.
+.. math:: ΔG_T = (1 - n ⊗ n) (q - q_{ref}), \qquad q_{ref} = q_{old} + w × a.
 
 It is a length along arcs, so that dissipation does not depend on the step. Rigid and deformable
 masters are alike here; `mechanics.followers` says in what they differ.

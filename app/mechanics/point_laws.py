@@ -80,10 +80,10 @@ class PointLaws:
         unscaled_augmentation: Augmentation by the keys of the case, before `scale_augmentation`
             (n,) [MPa/mm].
         augmentation: Augmentation r, the stiffness of the trial force (n,) [MPa/mm].
-        compliance: Compliance C of the elastic layer in series (n, 3, 3) [mm/MPa]; 0 without one.
-        layer_share: (1 + k C)^-1: stiffness of the layer over the sum of its and the bodies'
+        compliance: Compliance c of the elastic layer in series (n, 3, 3) [mm/MPa]; 0 without one.
+        layer_share: (1 + k c)^-1: stiffness of the layer over the sum of its and the bodies'
             (n, 3, 3) [-].
-        multiplier_share: 1 - r C: factor of the equilibrium force in the multiplier (n, 3, 3) [-].
+        multiplier_share: 1 - r c: factor of the equilibrium force in the multiplier (n, 3, 3) [-].
     """
 
     def __init__(self, comm: MPI.Comm, points: LocalPoints, timing: Timing) -> None:
@@ -239,7 +239,7 @@ class PointLaws:
         """Evaluate the laws at a trial state.
 
         Args:
-            multiplier: Multiplier F (n, 3) [MPa].
+            multiplier: Multiplier λ (n, 3) [MPa].
             jump: Jump (n, 3) [mm].
             initial_gap: Vectors of the initial gap (n, 3) [mm].
             state: Last converged state.
@@ -368,7 +368,7 @@ def _compile_law(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwis
 
     def build(x: dict[str, Expr]) -> dict[str, Expr]:
         point = AtPoint(
-            F=x["multiplier"],
+            λ=x["multiplier"],
             jump=x["jump"],
             initial_gap=x["initial_gap"],
             jump_old=x["jump_old"],

@@ -3,9 +3,10 @@ r"""Contact force along jumps that supports prescribe, as functions of arrays.
 Along a prescribed jump, equilibrium contains the support reaction. The interface force F_h there
 follows from the law P alone:
 
-.. math:: F_h = H P(F + M F_h),
+.. math:: F_h = H P(λ + M F_h),
 
-with H the projector on the prescribed directions and M the share of the multiplier. Where the jump
+with λ the multiplier without F_h, H the projector on the prescribed directions and M the share of
+the multiplier. Where the jump
 changes in the step, `respond` solves for F_h at each point. Where the jump is at rest, F_h is the
 friction of the last converged state.
 
@@ -136,9 +137,9 @@ def respond(
         # A traction that depends on the jump alone.
         return response
     while True:
-        P_F = response["by_multiplier"]
+        P_λ = response["by_multiplier"]
         residual = np.einsum("pi,pi->p", direction, response["force"]) - size
-        slope = 1 - np.einsum("pi,pij,pjk,pk->p", direction, P_F, M, direction)
+        slope = 1 - np.einsum("pi,pij,pjk,pk->p", direction, P_λ, M, direction)
         # A point that has converged stays: rounding could move it from slip to stick.
         is_unfinished = is_sliding & (np.abs(residual) > tolerance)
         is_unfinished &= upper - lower > tolerance
@@ -154,7 +155,7 @@ def respond(
         np.copyto(size, new_size, where=is_unfinished)
         last_residual = np.abs(residual)
         response = response_to(size)
-    # Implicit derivative of F_h by the multiplier F.
+    # Implicit derivative of F_h by the multiplier.
     factor = np.divide(1.0, slope, out=np.zeros(n), where=is_sliding & (slope != 0))
-    F_h_by_F = np.einsum("p,pi,pk,pkj->pij", factor, direction, direction, P_F)
-    return response | {"by_multiplier": P_F + P_F @ M @ F_h_by_F}
+    F_h_by_λ = np.einsum("p,pi,pk,pkj->pij", factor, direction, direction, P_λ)
+    return response | {"by_multiplier": P_λ + P_λ @ M @ F_h_by_λ}
