@@ -174,7 +174,7 @@ class TrialState:
         )
         return ContactState(
             jump=self.jump.copy(),
-            inserted=before.inserted,
+            jump_at_insertion=before.jump_at_insertion,
             force=force,
             friction=friction,
             gap_vector=gap_vector,
@@ -326,17 +326,17 @@ class ContactInterfaces:
         self.coupling.update(self._stiffness.constraints)
         self.laws.update_stiffness(self.coupling.jump_stiffness())
 
-    def set_time(self, time: float) -> None:
-        """Set gaps and prescribed jumps to a time."""
-        self.gaps.set_time(time, self.state.jump)
+    def set_time(self, load_time: float) -> None:
+        """Set gaps and prescribed jumps to a time of the loads."""
+        self.gaps.set_time(load_time, self.state.jump)
         self.prescribed = np.zeros((len(self.local), 3))
         for support, jump in zip(self._supports, self._unit_jumps, strict=True):
-            self.prescribed += amplitude(support.history, time) * jump
+            self.prescribed += amplitude(support.history, load_time) * jump
 
     def commit(self, state: ContactState, time: float) -> None:
-        """Set the committed state, and its time."""
-        if time <= self.gaps.insertion_time:
-            state.inserted = state.jump
+        """Set the committed state, and its time in the run."""
+        if time <= self.gaps.end_of_insertion:
+            state.jump_at_insertion = state.jump
         self.state = state
         self.gaps.commit(state.jump, time)
 

@@ -2,7 +2,7 @@
 
 `after_insertion` records pressure and strain of the bone at the end of the insertion, `findings`
 has the faults and verdicts. Importing the package registers it. The core has what a press fit is:
-the interference (`laws.interface_laws`) and the motion since it (`ContactState.inserted`).
+the interference (`laws.interface_laws`) and the motion since it (`ContactState.jump_at_insertion`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 def _after_insertion(case: Case, followed: RecordedModel) -> AfterInsertion | None:
     """The record of a run, or None if nothing in its case is pressed in; collective."""
     contact = followed.problem.contact
-    if contact is None or not contact.gaps.insertion_time > 0.5:  # stages end at whole times
+    if contact is None or not contact.gaps.end_of_insertion > 0.5:  # stages end at whole times
         return None
     from app.press_fit.after_insertion import AfterInsertion  # starts MPI
 

@@ -81,17 +81,17 @@ class Companion:
 
     Attributes:
         coarsening: Mesh size of the companion over that of the run [-].
-        steps: Increments of the companion over those of the run [-]. For time steps, the factor on
-            their error is the inverse.
+        step_ratio: Increments of the companion over those of the run [-]. For time steps, the
+            factor on their error is the inverse.
     """
 
     case: Case
     coarsening: float
-    steps: float
+    step_ratio: float
 
     def __str__(self) -> str:
         """Mesh and steps of the companion, in words."""
-        fewer = f", {self.steps:g} times the steps" if self.steps != 1 else ""
+        fewer = f", {self.step_ratio:g} times the steps" if self.step_ratio != 1 else ""
         size = f"{self.case.mesh.size:g} mm" if self.case.mesh.size else "of the file"
         return f"mesh {size}{fewer}"
 
@@ -163,12 +163,12 @@ class _Solution:
 
     Attributes:
         coarsening: Mesh size over that of the run [-].
-        steps: Steps over those of the run [-].
+        step_ratio: Steps over those of the run [-].
         value: The number.
     """
 
     coarsening: float
-    steps: float
+    step_ratio: float
     value: Floats
 
 
@@ -490,7 +490,7 @@ def _values_on_meshes(
     """
     values = {case.mesh.size: run[key]}
     for companion, companion_values in sorted(
-        companion_numbers, key=lambda entry: -abs(entry[0].steps - 1)
+        companion_numbers, key=lambda entry: -abs(entry[0].step_ratio - 1)
     ):
         if companion.coarsening > LEAST_COARSENING and companion_values.get(key) is not None:
             values[companion.case.mesh.size] = companion_values[key]
@@ -503,7 +503,7 @@ def _error(
     """Error of one number or vector by the equations above; None if it is unknown."""
     of_run = _Solution(1.0, 1.0, np.asarray(run[key]))
     of_companions = [
-        _Solution(companion.coarsening, companion.steps, np.asarray(numbers[key]))
+        _Solution(companion.coarsening, companion.step_ratio, np.asarray(numbers[key]))
         for companion, numbers in companion_numbers
         if numbers.get(key) is not None
     ]
@@ -514,17 +514,17 @@ def _error(
     on_mesh_of_last = [
         s
         for s in (of_run, *of_companions[:-1])
-        if s.coarsening == last.coarsening and s.steps != last.steps
+        if s.coarsening == last.coarsening and s.step_ratio != last.step_ratio
     ]
     step_error = np.zeros(last.value.shape)
     if on_mesh_of_last:
         other = on_mesh_of_last[0]
-        step_error += (other.value - last.value) / (1 / other.steps - 1 / last.steps)
+        step_error += (other.value - last.value) / (1 / other.step_ratio - 1 / last.step_ratio)
     # If C / n is known, a companion with more steps than the run has no further use.
     on_coarser_meshes = [
         s
         for s in of_companions
-        if s.coarsening > LEAST_COARSENING and (s.steps <= 1 or not on_mesh_of_last)
+        if s.coarsening > LEAST_COARSENING and (s.step_ratio <= 1 or not on_mesh_of_last)
     ]
     error = np.abs(step_error)
     if on_coarser_meshes:
@@ -554,7 +554,7 @@ def _mesh_error(
 
     def change(other: _Solution) -> Floats:
         """Return the change to another mesh without the effect of its steps, scaled to 2 h."""
-        without_steps = other.value - step_error * (1 / other.steps - 1)
+        without_steps = other.value - step_error * (1 / other.step_ratio - 1)
         return abs(of_run.value - without_steps) * (2**order - 1) / (other.coarsening**order - 1)
 
     finest = min(on_coarser_meshes, key=lambda s: s.coarsening)

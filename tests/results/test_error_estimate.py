@@ -92,7 +92,7 @@ def test_error_estimate_companions_are_coarser(
     """Companions have mesh sizes, increments, and steps relative to the run."""
     companions = error_estimate.companions(support.case(text, *changes))
     assert [
-        (c.case.mesh.size, c.case.stages[0].increments, c.steps) for c in companions
+        (c.case.mesh.size, c.case.stages[0].increments, c.step_ratio) for c in companions
     ] == expected
     assert all(c.case.mesh.far_size_or_default == 4 * c.case.mesh.size for c in companions)
 
