@@ -351,11 +351,11 @@ class ContactInterfaces:
 
     def unresisted_motions(self, status: Ints) -> Floats:
         """Rigid motions that nothing resists at states (n,); collective."""
-        return self.motions.unresisted(status, self.remedies.switches.constrained)
+        return self.motions.unresisted(status, self.remedies.switches.stuck)
 
     def motions_resisted_by_open_points(self, status: Ints) -> Floats:
         """Rigid motions that only open points resist (6 bodies, k); collective."""
-        return self.motions.resisted_by_open_points(status, self.remedies.switches.constrained)
+        return self.motions.resisted_by_open_points(status, self.remedies.switches.stuck)
 
     def augmentation(self) -> dict[str, float]:
         """Augmentation of each interface that can open [MPa/mm], by name; collective."""

@@ -31,7 +31,7 @@ from app.mechanics.contact_state import ContactState, LocalPoints
 from app.mechanics.debonded_contact import Debonding, debonded_contact
 from app.mechanics.point_forces import OUTPUTS, PointForces
 from app.mechanics.prescribed_slip import Inputs, LawAtPoints, Outputs
-from app.mechanics.switches import Switches, constrain, open_points, tresca_response
+from app.mechanics.switches import Switches, open_points, stick_points, tresca_response
 from app.numerics import pointwise
 from app.numerics.pointwise import Pointwise
 from app.system.timing import Timing
@@ -262,8 +262,9 @@ class PointLaws:
             inputs_at_rows = {k: v[rows] for k, v in (inputs | committed).items()}
             law_at_rows = self._law_at(group.kernel, rows, state.friction[rows])
             response = law_at_rows(inputs_at_rows)
-            if switches.tresca_force is not None and law.is_contact and law.largest_friction > 0:
-                excess = switches.tresca_force[rows] - trial_force[rows]
+            given = switches.tresca_trial_force
+            if given is not None and law.is_contact and law.largest_friction > 0:
+                excess = given[rows] - trial_force[rows]
                 response = tresca_response(
                     law_at_rows, inputs_at_rows, response, points.normals[rows], excess
                 )
@@ -282,11 +283,11 @@ class PointLaws:
                 self._add_debonded_contact(
                     group, group.debonded_kernel, inputs, state, switches, forces
                 )
-        if switches.constrained.any():
+        if switches.stuck.any():
             all_faces = np.ones((len(points), 3), dtype=bool)
             tangential_jump_old = points.tangential(state.jump, all_faces)
             sticking_force = multiplier + r[:, None] * (jump + initial_gap - tangential_jump_old)
-            constrain(forces, points, switches.constrained, sticking_force)
+            stick_points(forces, points, switches.stuck, sticking_force)
         # Opened points keep tractions of laws other than contact.
         opened = switches.opened & self.law_is_contact
         if opened.any():

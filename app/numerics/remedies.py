@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
 
 from petsc4py import PETSc
 
@@ -43,12 +44,11 @@ def solve(solver: Solver) -> NewtonResult:
         contact.laws.scale_augmentation(solver.augmentation)
     runs: list[tuple[int, int]] = []
     start = solver.x.copy() if contact else solver.x
-    if contact and contact.remedies.freeze():
-        try:
-            runs.append(solver.run())
-        finally:
-            contact.remedies.unfreeze()
-        if not solver.converged:
+    if contact:
+        with contact.remedies.freezing() as has_variables:
+            if has_variables:
+                runs.append(solver.run())
+        if has_variables and not solver.converged:
             start.copy(solver.x)
     runs.append(solver.run())
     solver.x.copy(solver.first_state)
@@ -137,23 +137,19 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
     """
     contact = solver.system.contact
     if contact:
-        closed = "constraining open interfaces of bodies that nothing else holds"
         yield from _with_switched_interfaces(
             solver,
             start,
-            contact.remedies.constrain,
-            contact.remedies.release,
-            closed,
+            contact.remedies.constraining(),
+            "constraining open interfaces of bodies that nothing else holds",
             "releasing these interfaces",
         )
-        overlap = "closing interfaces where the open bodies overlap"
         yield from _with_switched_interfaces(
             solver,
             start,
-            contact.remedies.open,
-            contact.remedies.allow_closing,
+            contact.remedies.opening(),
             "opening all interfaces",
-            overlap,
+            "closing interfaces where the open bodies overlap",
         )
     if not solver.converged and solver.linear.factor_interfaces():
         start.copy(solver.x)
@@ -196,8 +192,7 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
 def _with_switched_interfaces(
     solver: Solver,
     start: PETSc.Vec,
-    switch: Callable[[], bool],
-    switch_back: Callable[[], None],
+    switched: AbstractContextManager[bool],
     switched_remedy: str,
     usual_remedy: str,
 ) -> Iterator[str]:
@@ -206,18 +201,17 @@ def _with_switched_interfaces(
     Args:
         solver: The solver. If a body has run away, its state is the start again.
         start: The state from which to start.
-        switch: Constrains or opens interfaces; returns True if there are any.
-        switch_back: Ends that.
+        switched: Context in which interfaces are constrained or opened, if there are any.
         switched_remedy: Name of the remedy with switched interfaces.
         usual_remedy: Name of the remedy after that.
     """
-    if solver.converged or not switch():
+    if solver.converged:
         return
-    start.copy(solver.x)
-    try:
+    with switched as has_switched:
+        if not has_switched:
+            return
+        start.copy(solver.x)
         yield switched_remedy
-    finally:
-        switch_back()
     if solver.system.runs_away(solver.blocks()):
         start.copy(solver.x)
     else:
@@ -231,15 +225,13 @@ def _with_tresca_friction(
 
     Where a solve under given pressures does not converge, the state is that before the remedy.
     """
-    if not contact.remedies.begin_tresca_friction():
-        return
     before = solver.x.copy()
-    start.copy(solver.x)
-    try:
+    with contact.remedies.tresca_friction() as has_friction:
+        if not has_friction:
+            return
+        start.copy(solver.x)
         yield "limiting friction by given pressures, which follow those of the state"
         yield from _following_pressures(solver, contact)
-    finally:
-        contact.remedies.end_tresca_friction()
     if solver.converged:
         yield "limiting friction by the pressures of the state"
     else:
@@ -251,7 +243,7 @@ def _following_pressures(solver: Solver, contact: SolvedContact) -> Iterator[str
     for share in SHARES:
         least, updates = math.inf, 0
         while updates < MOST_UPDATES and solver.converged:
-            solver.residual(solver.x)
+            solver.residual(solver.x)  # sets the last trial forces
             difference = contact.remedies.relax_tresca_friction(share)
             if difference < SAME_PRESSURES:
                 return
