@@ -70,7 +70,6 @@ def solve(solver: Solver) -> NewtonResult:
         runs.append(iterations)
     if solver.converged and solver.system.settle(solver.blocks()):
         runs.append(solver.run())
-    solver.use_search(solver.usual_search)
     if solver.converged:
         solver.linear.sweep_interfaces()
         measures = solver.measure(solver.x, solver.snes.getFunction()[0])
