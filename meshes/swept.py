@@ -24,9 +24,10 @@ from meshes.quality import BAD, check, relaxed_nodes, sicn, untangle
 from meshes.reference_body import ReferenceBody
 from meshes.shape_functions import GMSH_TETRAHEDRON
 
-# Least thickness of a layer, over the distance to the next line, and to the next section: where it
-# would be thinner it has none.
+# Least thickness of a layer over the distance to the next line [-]. A layer that would be thinner
+# has no thickness.
 FLOOR_RATIO = 0.12
+# The same over the distance to the next section [-].
 FLOOR_RATIO_ALONG = 0.05
 
 POOR = 0.12  # SICN: quadrangles with worse cells get their other diagonal if it is better
@@ -221,7 +222,7 @@ def _edge_keys(slab: Ints, ends: Ints, column_count: int) -> Ints:
 def _split(surfaces: LayeredSurfaces, body: ReferenceBody, number: Ints) -> tuple[Ints, Ints]:
     """Tetrahedra (m, 4) of distinct nodes, and their prisms (m,).
 
-    A tetrahedron that is not inverted has a positive volume.
+    Their nodes are in an order in which volumes are positive unless cells are inverted.
 
     Columns rank from lateral to medial; the columns of one line rank together, outwards. Sections
     rotate about an antero-posterior axis, so that diagonals from lateral to medial are the short
@@ -467,7 +468,8 @@ def _middles(swept_mesh: Swept, a: Ints, b: Ints) -> Nodes:
         half_steps_apart + half_steps // 2
     ) % half_steps - half_steps // 2  # the short way around
     both_merged = nodes.merged[a] & nodes.merged[b]
-    # A merged node is on mantle and endosteum: it takes whichever the other is nearer to.
+    # A merged node is on mantle and endosteum. Its coordinate is that of the one, 2 or 3, that is
+    # nearer to the other end of the edge.
     ends = [
         np.where(
             nodes.merged[this_end] & ~both_merged,

@@ -95,13 +95,13 @@ class TrialState:
         slip = np.where(is_slipping, contact.local.tangential(motion, closed_faces), 0.0)
         return friction, slip
 
-    def _closed_faces(self, step: Floats) -> Bools:
-        """Faces that are closed after a step (n, 3).
+    def _closed_faces(self, motion: Floats) -> Bools:
+        """Faces that count as closed for a motion (n, 3): pressed, or with a small gap.
 
         At an edge the tangential direction is along the edge. If friction on one face holds the
         point against another face, there is a force across the edge too, but no slip.
         """
-        rounding = CLOSED_GAP * np.linalg.norm(step, axis=1)
+        rounding = CLOSED_GAP * np.linalg.norm(motion, axis=1)
         is_nearly_closed = self.contact.gaps.openings(self.jump) <= rounding[:, None]
         return np.asarray((self.forces.pressures > 0) | is_nearly_closed)
 
@@ -137,17 +137,19 @@ class TrialState:
     def committed(self) -> ContactState:
         """State of the points after a converged step: jump, tractions, path, dissipation.
 
-        A point that ends a step in contact slides by the tangential part of the step: the motion
-        for which the law computes its friction. The motion of open points is not on the path.
+        *path*: A point that ends a step in contact slides by the tangential part of the step: the
+        motion for which the law computes its friction. Open points do not slide.
 
-        Dissipation is the implicit sum: new friction times the slip of the step. The incremental
-        potential (eq. 55) makes it non-negative at each point. The trapezoidal rule would be
-        negative when friction reverses. Work is trapezoidal, so that the energy balance closes.
+        *dissipation*: That of friction, of the law, and of the debonded area. Friction is the
+        implicit sum: new friction times the slip of the step. The incremental potential (eq. 55)
+        makes it non-negative at each point. The trapezoidal rule is negative when friction
+        reverses.
 
-        Contact without tension does no work in its total gap, the sum of jump and initial gap. (A
-        changing initial gap does work in the jump.) ``contact_work`` is therefore the error of load
-        steps in which points close or open. It contains the normal energy of a layer, which is
-        released when the layer opens.
+        *work*: By the trapezoidal rule, so that the energy balance closes.
+
+        *contact_work*: Work of the pressures in the gap, which is zero in exact load steps. So it
+        is the error of steps in which points close or open. It contains the normal energy of a
+        layer, which is released when the layer opens.
         """
         contact, law = self.contact, self.forces
         before = contact.state

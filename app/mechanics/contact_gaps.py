@@ -152,7 +152,7 @@ class ContactGaps:
     def gap_at_pairing(self) -> Floats:
         """Gap along the normal when points were paired last (n,) [mm].
 
-        Points with small sliding are paired at zero jump.
+        In small sliding it is the gap by the keys, whatever the jump.
         """
         gap = self._gap_by_keys.copy()
         if self._finite_sliding is not None:

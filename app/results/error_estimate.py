@@ -46,8 +46,8 @@ from app.case.quantities import ADDED, TABLE, Quantity, numbers_of
 from app.case.summary import Numbers, Summary
 from app.foundation.arrays import Floats
 
-# Mesh size over that of the run: of the companion for the error of the mesh, and of the companions
-# for the error of the step.
+# Mesh sizes of companions over that of the run [-]: the first for the error of the mesh, the second
+# for that of the steps and, with temperatures, of the mesh too.
 COARSENINGS = (2.0, 3.0)
 # Power of the error of all time steps with which the tolerance of one step scales.
 TOLERANCE_POWER = {"sdirk4": 1.0, "backward_euler": 2.0}

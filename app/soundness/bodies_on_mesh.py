@@ -1,9 +1,8 @@
 """Bodies on a mesh, before solving: pieces that move together, and bodies that nothing holds.
 
 `well_posedness.check_on_mesh` refuses a case with `verdicts_on_held_bodies`. The pieces of the
-mesh are joined to bodies.
-Each support removes the directions that it holds from the rigid motions of its body. A motion that
-is left, and that contact with no other body resists, is free.
+mesh are joined to bodies. A rigid motion is free if no support of its body holds it, and no contact
+with another body would resist it even if it were bonded.
 
 Facets of a mesh may hide a floating body. `app.soundness.floating_bodies_of_state` detects such
 bodies on the contact points of a state, after solving.
