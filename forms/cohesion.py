@@ -1,23 +1,25 @@
 r"""Cohesive interface: quadratic onset, softening, mixed modes, then contact with friction.
 
-:math:`D^+` is the opening and sliding part of the jump D [mm] and :math:`m = |D^+|` its size. K is
+:math:`δ` is the opening and sliding part of the gap vector [mm] and :math:`m = |δ|` its size. K is
 the stiffness [MPa/mm], N and S are the strengths in tension and shear [MPa]. With the mode mixture
-:math:`B = D_t^2/m^2`,
+:math:`B = |δ_T|^2/m^2`,
 
 .. math:: m_0 = \frac1{K \sqrt{(1-B)/N^2 + B/S^2}}, \qquad
           G = G_I + (G_{II} - G_I) B^η \quad [N/mm]
 
 are the jump at onset (Camanho and Davila 2002) and the fracture energy (Benzeggagh and Kenane
-1996). The damage d of a jump follows from the softening traction (1 - d) K D^+, whose work is G.
+1996). The damage d of a jump follows from the softening traction (1 - d) K δ, whose work is G.
 Softening is linear or exponential:
 
 .. math:: d = \frac{m_f (m - m_0)}{m (m_f - m_0)}, \; m_f = \frac{2 G}{K m_0}; \qquad
-          d = 1 - \frac{m_0}m e^{-(m - m_0)/δ}, \; δ = \frac G{K m_0} - \frac{m_0}2 .
+          d = 1 - \frac{m_0}m e^{-(m - m_0)/m_s}, \; m_s = \frac G{K m_0} - \frac{m_0}2 .
 
 Damage never falls. An undamaged point is a spring in tension and in compression. A damaged point
 also has exact contact with Coulomb friction :math:`d μ p` on its debonded area,
 
-.. math:: F = T + P(F - T + r D), \qquad T = (1 - d) K D^+ .
+.. math:: F = T + P(λ - T + r ΔG), \qquad T = (1 - d) K δ,
+
+with the law P, the multiplier λ and the vector ΔG of `forms.contact`.
 
 It is the law of Alfano and Sacco (2006) without its elastic slip.
 """
@@ -121,23 +123,24 @@ class CohesiveState:
 
 
 def cohesive_state(
-    law: Cohesion, gap: Expr, normals: Faces, committed: Mapping[str, Expr], frozen: Expr
+    law: Cohesion, gap_vector: Expr, normals: Faces, committed: Mapping[str, Expr], frozen: Expr
 ) -> CohesiveState:
     """Cohesive traction, energies and internal variables of a contact point.
 
     Args:
         law: Constants of the law.
-        gap: Displacement of the slave minus that of the master, with the initial gap (3,) [mm].
+        gap_vector: Displacement of the slave minus that of the master, with the initial gap (3,)
+            [mm].
         normals: Unit normals of the faces, from master to slave.
         committed: Internal variables `damage` and `spent` of the last converged state [-].
         frozen: 1 while damage is frozen, else 0.
     """
-    normal_components = normals.components(gap)
+    normal_components = normals.components(gap_vector)
     # At zero opening the derivative is that of opening. If it were that of closing, a damaged point
     # would not resist by cohesion, and nothing else would while contact is switched off.
-    opening = normals.span([conditional(ge(D_n, 0), D_n, 0) for D_n in normal_components])
-    closing = normals.span([conditional(ge(D_n, 0), 0, D_n) for D_n in normal_components])
-    sliding = gap - normals.span(normal_components)
+    opening = normals.span([conditional(ge(G_n, 0), G_n, 0) for G_n in normal_components])
+    closing = normals.span([conditional(ge(G_n, 0), 0, G_n) for G_n in normal_components])
+    sliding = gap_vector - normals.span(normal_components)
     opening_and_sliding = opening + sliding
 
     m_0, G = law.mode(inner(opening, opening), inner(sliding, sliding))

@@ -6,24 +6,25 @@ debonded share of a cohesive interface, `switches` under given pressures.
 
 Equations 57 and 63 to 65 are those of the paper, Ramaniraka and others (docs/theory.md).
 
-A contact point has the gap vector D (slave minus master) [mm] and the interface force per area
-F [MPa]. F is the multiplier of the term F . D in the potential. The normal n points from the master
-to the slave: D_n = D . n >= 0 is the opening and F_n = F . n <= 0 the contact force. With the
-augmentation r [MPa/mm] and the trial force S = F + r D, the augmented Lagrangian per area is
+A contact point has the gap vector G [mm], the jump (slave minus master) plus the initial gap, and
+the interface force per area F [MPa]. The normal n points from the master to the slave:
+G_n = G . n >= 0 is the opening and F_n = F . n <= 0 the contact force. Friction is incremental. So
+the law takes ΔG, D in the paper: its normal part is that of G, and its tangential part is the
+change of the jump since the last converged state. λ is the multiplier; without a layer in series it
+is F. With the augmentation r [MPa/mm] and the trial force S = λ + r ΔG, the augmented Lagrangian
+per area is
 
-.. math:: Π = F·D + \tfrac r2 |D|^2 - \tfrac1{2r} dist^2(S_n, R_-)
-              - \tfrac1{2r} dist^2(S_T, C(P_{R_-} S_n^*)),
+.. math:: Π = λ·ΔG + \tfrac r2 |ΔG|^2 - \tfrac1{2r} dist^2(S_n, R_-)
+              - \tfrac1{2r} dist^2(S_T, disc(μ p^*)), \qquad p = -\min(S_n, 0),
 
-C(f) is the disc of radius -μ f. A star marks an argument that is not differentiated. This is
-eq. 65, which prints R_+ under the first distance; eq. 68 prints it correctly. The normal part of D
-is the jump plus the initial gap. The tangential part is the change of the jump since the last
-converged state.
+with disc(R) the disc of radius R. A star marks an argument that is not differentiated. This is
+eq. 65, which prints R_+ under the first distance; eq. 68 prints it correctly.
 
 Completing the square gives, while the point touches,
 
-.. math:: 2 r Π = S_n^2 + |S_T|^2 - dist^2(S_T, C(S_n^*)) - |F|^2,
+.. math:: 2 r Π = S_n^2 + |S_T|^2 - dist^2(S_T, disc(μ p^*)) - |λ|^2,
 
-and 2 r Π = -|F|^2 while it is open. The code below uses this form. ∂Π/∂D is the projected force
+and 2 r Π = -|λ|^2 while it is open. The code below uses this form. ∂Π/∂ΔG is the projected force
 P(S), and the law is F = P(S). The generalized Jacobian is the derivative of P, with respect to the
 starred argument too.
 
@@ -189,7 +190,7 @@ class _Touching:
 
 
 def contact_law(
-    F: Expr,
+    λ: Expr,
     jump: Expr,
     initial_gap: Expr,
     jump_old: Expr,
@@ -198,14 +199,14 @@ def contact_law(
     μ: Scalar | None,
     r: Scalar,
 ) -> Response:
-    r"""Law of a contact point with one to three faces (eq. 65; eq. 57 with F = 0).
+    r"""Law of a contact point with one to three faces (eq. 65; eq. 57 with λ = 0).
 
     The derivative with respect to the jump is the projected force P(S). Faces touch if S presses
     them, and also at S = 0, where a point sticks. A law that is open at S = 0 would have no
     stiffness at rest, and bodies that nothing else holds would move away.
 
     Args:
-        F: Multiplier (3,) [MPa], from `ContactInterfaces.multiplier` of `mechanics.contact`. An
+        λ: Multiplier (3,) [MPa], from `ContactInterfaces.multiplier` of `mechanics.contact`. An
             elastic layer in series changes it; the penalty method is such a layer.
         jump: Displacement of the slave minus that of the master (3,) [mm].
         initial_gap: Vector g with g . n the initial gap of each face (3,) [mm]; an interference is
@@ -219,10 +220,11 @@ def contact_law(
     Returns:
         Force, its derivative by the multiplier, pressures, status and energy.
     """
-    f = variable(F)
-    d = variable(jump)
-    S = f + r * (d + initial_gap)
-    dS = f + r * (d - jump_old)
+    multiplier = variable(λ)
+    q = variable(jump)
+    # The normal part of the trial force is that of S, its tangential part that of dS.
+    S = multiplier + r * (q + initial_gap)
+    dS = multiplier + r * (q - jump_old)
     states = _states(S, dS, normals, μ)
     # The same states with the frozen trial force in the radius of the friction disc.
     frozen_states = _states(S_star, dS, normals, μ)
@@ -236,10 +238,10 @@ def contact_law(
         return inner(normal_part, normal_part) + friction_square
 
     square = _choose(states, carried_square)
-    energy = (square - inner(f, f)) / (2 * r)
+    energy = (square - inner(multiplier, multiplier)) / (2 * r)
 
-    force = replace(derivative(energy, d), {S_star: S})
-    by_multiplier = derivative(force, f)
+    force = replace(derivative(energy, q), {S_star: S})
+    by_multiplier = derivative(force, multiplier)
     pressures, status = _pressures_and_status(states, len(normals))
     return Response(force, by_multiplier, None, pressures, status, energy=energy)
 
@@ -328,7 +330,7 @@ def _friction(μ: Scalar | None, p: Sequence[Scalar], S_T: Scalar) -> tuple[Scal
 
 
 def _square_in_disc(state: _Touching, radius: Scalar) -> Scalar:
-    r"""Square :math:`|S_T|^2 - dist^2(S_T, C)` [MPa^2]; zero without friction: C is a point."""
+    r"""Square :math:`|S_T|^2 - dist^2(S_T, disc)` [MPa^2]; zero without friction (a point)."""
     if state.sticks is None:
         return 0 * _ONE
     square = inner(state.tangential, state.tangential)

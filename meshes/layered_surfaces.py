@@ -158,13 +158,14 @@ class LayeredSurfaces:
         sections: The planes up to the neck cut, one for each station.
         bone: Periosteum and endosteum in them.
         notes: Bone that a stem without cement takes and leaves, in words.
-        first: Number of the innermost surface: 1, or 2 without a mantle (`layers`).
+        innermost: Number of the innermost surface: 1, or 2 without a mantle (`layers`).
         through: Cells through each layer, at most.
         cement: Cells through the first layer; a fraction is the part, from the cut down, with one
             more.
         segments: Segments of the reference body, from below.
-        mantle: The first and the last section with a mantle, whose lines with mantle and endosteum
-            in one continue below and above. Without cement: with the outline of the stem.
+        mantle_stations: First and last station with a mantle. Where mantle and endosteum are one
+            there, they are so at stations below and above, too. Without cement: stations with the
+            outline of the stem.
         coarser: Size of the reference body inside the stem over that at its surface.
         spared: Part of the largest bend of a bad curved cell up to which edges keep theirs.
         mirrored: Steps whose prisms are split the other way around: there sections turn back.
@@ -180,7 +181,7 @@ class LayeredSurfaces:
         self._geometry = geometry
         self.notes = list[str]()
         self.stem = StemWithMantle(geometry, mesh)
-        self.first = 1 if self.stem.is_cemented else 2
+        self.innermost = 1 if self.stem.is_cemented else 2
         if self.stem.is_cad:
             self.spared = CAD_SPARED
             self.coarser = CAD_COARSER
@@ -201,7 +202,7 @@ class LayeredSurfaces:
     @property
     def cut(self) -> int:
         """Station of the neck cut."""
-        return self.mantle[1]
+        return self.mantle_stations[1]
 
     def _station_heights(self, implant: Implant, distal: float) -> Floats:
         """Heights of the stations from a distal level to the cut (n,) [mm]; where parts begin."""
@@ -239,7 +240,7 @@ class LayeredSurfaces:
             [(plug - distances_below)[::-1], *inner_heights, (top - distances_above)[-2::-1]]
         )
         self._floor, self.tip = start + counts[0], start + counts[0] + counts[1]
-        self.mantle = (start, len(zeta) - 1)
+        self.mantle_stations = (start, len(zeta) - 1)
         return zeta
 
     def _with_heights_at_edges(self, heights: Floats) -> Floats:
@@ -290,8 +291,8 @@ class LayeredSurfaces:
         segments: tuple[Segment, ...]
         if self.stem.is_cemented:
             segments = (
-                Segment(self.mantle[0], ("cancellous_bone", "cancellous_bone", *bone)),
-                Segment(self._floor - self.mantle[0], ("cement", "cement", *bone)),
+                Segment(self.mantle_stations[0], ("cancellous_bone", "cancellous_bone", *bone)),
+                Segment(self._floor - self.mantle_stations[0], ("cement", "cement", *bone)),
                 Segment(self.tip - self._floor, (VOID, "cement", *bone)),
                 Segment(self.cut - self.tip, ("stem", "cement", *bone)),
                 on_cut,
@@ -408,7 +409,7 @@ class LayeredSurfaces:
         Returns:
             The nodes, and the number of the representative of each.
         """
-        x, mantle_start = nodes.x.copy(), self.mantle[0]
+        x, mantle_start = nodes.x.copy(), self.mantle_stations[0]
         plug = (nodes.rho == 0) & (nodes.s > 2 * mantle_start) & (nodes.s <= 2 * self.tip)
         x[plug] = self.stem.draped(x[plug], self.heights(nodes.s[plug] / 2))
         return replace(nodes, x=x), number
@@ -421,9 +422,9 @@ class LayeredSurfaces:
         """Lines at stations up to the cut."""
         zeta, theta = self.heights(s), 2 * np.pi * phi
         end = self.bone.ends(theta, zeta)
-        is_below = s < self.mantle[0]
+        is_below = s < self.mantle_stations[0]
         # Below the plug lines start from the outline that the stem has at the plug's end.
-        start_stations = np.where(is_below, float(self.mantle[0]), s)
+        start_stations = np.where(is_below, float(self.mantle_stations[0]), s)
         start = self.stem.outline(phi, self.sections, self.heights(start_stations))
         start = self.bone.core(start, theta, zeta)
         direction = end - start

@@ -101,7 +101,7 @@ class Lines:
     endosteum: Floats
 
     @property
-    def gap(self) -> Floats:
+    def exact_thickness(self) -> Floats:
         """Thickness left between mantle and endosteum [mm], negative if there is none; (n,)."""
         return (self.endosteum - self.mantle) * self.length
 

@@ -196,9 +196,9 @@ def placement_of(geometry: Hip) -> Placement:
 def shoulder_level(implant: Implant, placement: Placement, x: Floats) -> Floats:
     """Level function of a stem's shoulder at points (n, 3): not positive on it (n,) [mm].
 
-    The shoulder is the surface above the section through its lateral edge, as far as it is within
-    the shaft if that went on: on its medial side the stem becomes wider. Where the shoulder is at
-    the cut or above, all levels are positive.
+    The shoulder is the surface above the section through its lateral edge, within the shaft
+    continued upwards: medially the stem is wider. If the shoulder is at the cut or above, all
+    levels are positive.
     """
     edge = femur_stem.shoulder_plane_height(implant, placement.slopes[0])
     if edge > placement.top - LEAST_SHOULDER_DEPTH:

@@ -24,9 +24,10 @@ from meshes.quality import BAD, check, relaxed_nodes, sicn, untangle
 from meshes.reference_body import ReferenceBody
 from meshes.shape_functions import GMSH_TETRAHEDRON
 
-# Least thickness of a layer, over the distance to the next line, and to the next section: where it
-# would be thinner it has none.
+# Least thickness of a layer over the distance to the next line [-]. A layer that would be thinner
+# has no thickness.
 FLOOR_RATIO = 0.12
+# The same over the distance to the next section [-].
 FLOOR_RATIO_ALONG = 0.05
 
 POOR = 0.12  # SICN: quadrangles with worse cells get their other diagonal if it is better
@@ -77,13 +78,12 @@ class Swept:
     def describe(self) -> dict[str, Any]:
         """Notes: the grid, and the deviation of the layers from the exact ones [mm]."""
         nodes, surfaces = self.nodes, self.surfaces
-        mantle = (nodes.rho == 2) | nodes.merged
-        deviation = np.abs(nodes.error[mantle])
-        at_mantle = nodes.s[mantle] >= 2 * surfaces.mantle[0]
-        moved_by = np.where(nodes.merged[mantle], np.maximum(-nodes.error[mantle], 0.0), deviation)[
-            at_mantle
-        ]
-        thickness = nodes.thickness[mantle & ~nodes.merged]
+        on_outer_side = (nodes.rho == 2) | nodes.merged
+        deviation = np.abs(nodes.error[on_outer_side])
+        at_mantle = nodes.s[on_outer_side] >= 2 * surfaces.mantle_stations[0]
+        reached_by = np.maximum(-nodes.error[on_outer_side], 0.0)
+        moved_by = np.where(nodes.merged[on_outer_side], reached_by, deviation)[at_mantle]
+        thickness = nodes.thickness[on_outer_side & ~nodes.merged]
         return {
             "lines_around": surfaces.around,
             "steps_along": sum(segment.steps for segment in surfaces.segments),
@@ -101,7 +101,7 @@ def meshed_layers(surfaces: LayeredSurfaces, curved: bool) -> Swept:
         PoorCellsError: Cells are inverted or nearly flat: the surfaces are not nested.
     """
     parts = surfaces.through, surfaces.segments
-    body = reference_body.make(surfaces.outline(), *parts, surfaces.coarser, surfaces.first)
+    body = reference_body.make(surfaces.outline(), *parts, surfaces.coarser, surfaces.innermost)
     nodes, number = _grid(surfaces, body)
     cells, parent = _with_better_diagonals(surfaces, body, nodes, number)
     region = body.region[parent]
@@ -222,7 +222,7 @@ def _edge_keys(slab: Ints, ends: Ints, column_count: int) -> Ints:
 def _split(surfaces: LayeredSurfaces, body: ReferenceBody, number: Ints) -> tuple[Ints, Ints]:
     """Tetrahedra (m, 4) of distinct nodes, and their prisms (m,).
 
-    A tetrahedron that is not inverted has a positive volume.
+    Their nodes are in an order in which volumes are positive unless cells are inverted.
 
     Columns rank from lateral to medial; the columns of one line rank together, outwards. Sections
     rotate about an antero-posterior axis, so that diagonals from lateral to medial are the short
@@ -264,7 +264,7 @@ class _Layers:
     """Division of the lines from stem to bone surface, at each line and station.
 
     Attributes:
-        gap: Distance of the endosteum from the mantle, or without cement from the stem
+        exact_thickness: Distance of the endosteum from the mantle, or without cement from the stem
             (lines, stations) [mm].
         floor: Least thickness of the layer within the endosteum [mm].
         merged: True where this layer has no thickness.
@@ -273,7 +273,7 @@ class _Layers:
             are left out, or where a layer has no thickness.
     """
 
-    gap: Floats
+    exact_thickness: Floats
     floor: Floats
     merged: Bools
     rho: Floats
@@ -288,22 +288,22 @@ class _Layers:
         phi, s = np.meshgrid(turns, stations.astype(float), indexing="ij")
         lines = surfaces.lines(phi.ravel(), s.ravel())
         endosteal_points = lines.start + lines.endosteum[:, None] * (lines.end - lines.start)
-        gap = lines.gap.reshape(shape)
+        exact_thickness = lines.exact_thickness.reshape(shape)
         floor = _floor(surfaces, endosteal_points.reshape(*shape, 3))
-        merged = gap < floor
+        merged = exact_thickness < floor
         # Below and above the mantle its first and its last section go on. Without cement the canal
         # is open below.
-        first_section, last_section = surfaces.mantle
-        if surfaces.first == 1:
+        first_section, last_section = surfaces.mantle_stations
+        if surfaces.innermost == 1:
             merged[:, :first_section] = merged[:, first_section : first_section + 1]
         merged[:, last_section + 1 :] = merged[:, last_section : last_section + 1]
-        thickness = np.where(merged, 0.0, np.maximum(gap, floor))
+        thickness = np.where(merged, 0.0, np.maximum(exact_thickness, floor))
         length, endosteum = lines.length.reshape(shape), lines.endosteum.reshape(shape)
         widths = endosteum * length - thickness, thickness, (1 - endosteum) * length
-        rho, representative = cls._divided(surfaces, widths[surfaces.first - 1 :], per_line)
+        rho, representative = cls._divided(surfaces, widths[surfaces.innermost - 1 :], per_line)
         within_endosteum = (rho >= 2) & (rho < 3)
         representative[within_endosteum & merged] = sum(surfaces.through[:-1])
-        return cls(gap, floor, merged, rho, representative)
+        return cls(exact_thickness, floor, merged, rho, representative)
 
     @staticmethod
     def _divided(
@@ -314,19 +314,19 @@ class _Layers:
         ``widths`` are those of the layers [mm], inside first.
         """
         shape = widths[0].shape
-        first_section, last_section = surfaces.mantle
+        first_section, last_section = surfaces.mantle_stations
         height_fraction = np.clip(
             (np.arange(shape[1]) - first_section) / (last_section - first_section), 0.0, 1.0 - 1e-9
         )
         most_cells: list[Floats | int] = [*surfaces.through]
-        if surfaces.first == 1:
+        if surfaces.innermost == 1:
             most_cells[0] = np.floor(surfaces.cement + height_fraction)
-        rho = np.full((per_line, *shape), float(surfaces.first))
+        rho = np.full((per_line, *shape), float(surfaces.innermost))
         representative = np.zeros((per_line, *shape), dtype=np.int64)
         first_column = 0
-        least_cells = surfaces.mesh.least_through[surfaces.first - 1 :]
+        least_cells = surfaces.mesh.least_through[surfaces.innermost - 1 :]
         layers = zip(surfaces.through, widths, least_cells, most_cells, strict=True)
-        for ring, (cells, width, least_cell, limit) in enumerate(layers, start=surfaces.first):
+        for ring, (cells, width, least_cell, limit) in enumerate(layers, start=surfaces.innermost):
             across = np.clip(np.round(width / least_cell), 1, limit)
             for k in range(1, cells + 1):
                 rho[first_column + k] = ring + np.minimum(k / across, 1.0)
@@ -341,7 +341,7 @@ def _grid(surfaces: LayeredSurfaces, body: ReferenceBody) -> tuple[Nodes, Ints]:
     """Nodes of all columns at all stations, and the number of the representative of each."""
     around, per_line, column_count = surfaces.around, len(body.rho), len(body.section)
     layers = _Layers.of(surfaces, per_line)
-    levels = layers.gap.shape[1]
+    levels = layers.exact_thickness.shape[1]
     station = np.repeat(np.arange(levels), column_count)
     line = np.concatenate(
         [np.repeat(np.arange(around), per_line), np.full(column_count - around * per_line, -1)]
@@ -356,7 +356,7 @@ def _grid(surfaces: LayeredSurfaces, body: ReferenceBody) -> tuple[Nodes, Ints]:
         rho=rho,
         s=2 * station,
         merged=~in_core & merged[at] & (rho >= 2) & (rho <= 3),
-        error=np.where(in_core, 0.0, np.where(merged, -layers.gap, 0.0)[at]),
+        error=np.where(in_core, 0.0, np.where(merged, -layers.exact_thickness, 0.0)[at]),
         floor=np.where(in_core, 0.0, np.where(merged, 0.0, layers.floor)[at]),
         thickness=np.zeros(len(line_of_node)),
         x=np.zeros((len(line_of_node), 3)),
@@ -380,11 +380,13 @@ def _place(surfaces: LayeredSurfaces, nodes: Nodes) -> Nodes:
     keys, line = np.unique(nodes.s[on_line] * half_steps + nodes.phi[on_line], return_inverse=True)
     lines = surfaces.lines((keys % half_steps) / half_steps, (keys // half_steps) / 2)
     start, end = lines.start[line], lines.end[line]
-    bone, gap = lines.endosteum[line], lines.gap[line]
+    bone, exact = lines.endosteum[line], lines.exact_thickness[line]
     merged, rho = nodes.merged[on_line], nodes.rho[on_line]
-    thickness = np.where(merged, 0.0, np.maximum(gap + nodes.error[on_line], nodes.floor[on_line]))
+    thickness = np.maximum(exact + nodes.error[on_line], nodes.floor[on_line])
+    thickness = np.where(merged, 0.0, thickness)
     mantle = bone - thickness / lines.length[line]
-    if surfaces.first > 1:  # the stem is exact: where they are one, the endosteum is its surface
+    if surfaces.innermost > 1:
+        # The stem is exact: where they are one, the endosteum is its surface.
         bone, mantle = thickness / lines.length[line], np.zeros(len(on_line))
     fraction = np.where(
         rho <= 2,
@@ -394,7 +396,7 @@ def _place(surfaces: LayeredSurfaces, nodes: Nodes) -> Nodes:
     fraction = np.where(merged, bone, fraction)
     x, error, used_thickness = nodes.x.copy(), nodes.error.copy(), nodes.thickness.copy()
     x[on_line] = start + fraction[:, None] * (end - start)
-    error[on_line], used_thickness[on_line] = thickness - gap, thickness
+    error[on_line], used_thickness[on_line] = thickness - exact, thickness
     return replace(nodes, x=np.round(x, DIGITS_OF_NODES), error=error, thickness=used_thickness)
 
 
@@ -404,7 +406,7 @@ def _floor(surfaces: LayeredSurfaces, bone: Floats) -> Floats:
     spacing = np.maximum(spacing, np.roll(spacing, 1, axis=0))
     floor = FLOOR_RATIO * spacing
     # Sections that turn are farther apart on the lateral side: wedges there are longer.
-    low, high = surfaces.mantle
+    low, high = surfaces.mantle_stations
     steps = FLOOR_RATIO_ALONG * np.sqrt((np.diff(bone[:, low : high + 1], axis=1) ** 2).sum(axis=2))
     for stations in (np.s_[:, low:high], np.s_[:, low + 1 : high + 1]):
         floor[stations] = np.maximum(floor[stations], steps)
@@ -466,7 +468,8 @@ def _middles(swept_mesh: Swept, a: Ints, b: Ints) -> Nodes:
         half_steps_apart + half_steps // 2
     ) % half_steps - half_steps // 2  # the short way around
     both_merged = nodes.merged[a] & nodes.merged[b]
-    # A merged node is on mantle and endosteum: it takes whichever the other is nearer to.
+    # A merged node is on mantle and endosteum. Its coordinate is that of the one, 2 or 3, that is
+    # nearer to the other end of the edge.
     ends = [
         np.where(
             nodes.merged[this_end] & ~both_merged,

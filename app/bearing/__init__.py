@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING
 from app.bearing import findings as findings  # registers its checks
 from app.bearing import head_cup as head_cup  # registers the geometry
 from app.case.case import Case
+from app.case.error_classes import MOTION_ERRORS, TRACTION_ERRORS
 from app.case.quantities import (
-    ORDER_OF_MOTION,
-    ORDER_OF_TRACTION,
     InterfaceField,
     Quantity,
     add_interface_field,
@@ -64,14 +63,16 @@ add_interface_field(
 _interface = partial(Quantity, "interfaces")
 add_quantity(
     # Finite sliding, at the end and over a cycle.
-    _interface("torque", "N mm", order=ORDER_OF_MOTION, vector=True),
-    _interface("torque_size", "N mm", digits=1, label="torque, magnitude", order=ORDER_OF_MOTION),
+    _interface("torque", "N mm", error_class=MOTION_ERRORS, vector=True),
+    _interface(
+        "torque_size", "N mm", digits=1, label="torque, magnitude", error_class=MOTION_ERRORS
+    ),
     _interface(
         "torque_along",
         "N mm",
         digits=1,
         label="friction torque along the motion",
-        order=ORDER_OF_MOTION,
+        error_class=MOTION_ERRORS,
         step_record=True,
         curve=True,
     ),
@@ -80,14 +81,14 @@ add_quantity(
         "N mm",
         digits=1,
         label="torque, max",
-        order=ORDER_OF_MOTION,
+        error_class=MOTION_ERRORS,
         headline=True,
         on_page=True,
         sentence="{name}: largest friction torque of a cycle {torque_max}",
         caption="largest friction torque of {name}",
     ),
     _interface(
-        "centre", "mm", label="displacement of the master", order=ORDER_OF_MOTION, vector=True
+        "centre", "mm", label="displacement of the master", error_class=MOTION_ERRORS, vector=True
     ),
     _interface(
         "eccentricity",
@@ -95,7 +96,7 @@ add_quantity(
         "um",
         1,
         label="displacement of the master, magnitude",
-        order=ORDER_OF_MOTION,
+        error_class=MOTION_ERRORS,
         step_record=True,
         curve=True,
         on_page=True,
@@ -107,16 +108,18 @@ add_quantity(
         "dissipation_cycle",
         "N mm",
         label="dissipation in a cycle",
-        order=ORDER_OF_MOTION,
+        error_class=MOTION_ERRORS,
         on_page=True,
         sentence="{name}: energy dissipated in a cycle {dissipation_cycle}, "
         "largest sliding distance {slid_max}",
         caption="friction energy of {name} in a cycle",
     ),
-    _interface("slid_max", "mm", label="slid in a cycle, max", order=ORDER_OF_MOTION, on_page=True),
-    _interface("slid_mean", "mm", label="slid in a cycle, mean", order=ORDER_OF_MOTION),
     _interface(
-        "slid_max_master", "mm", label="slid in a cycle, max, master", order=ORDER_OF_MOTION
+        "slid_max", "mm", label="slid in a cycle, max", error_class=MOTION_ERRORS, on_page=True
+    ),
+    _interface("slid_mean", "mm", label="slid in a cycle, mean", error_class=MOTION_ERRORS),
+    _interface(
+        "slid_max_master", "mm", label="slid in a cycle, max, master", error_class=MOTION_ERRORS
     ),
     # Wear by a cycle, and by a million of them.
     _interface(
@@ -124,7 +127,7 @@ add_quantity(
         "mm^3",
         digits=9,
         label="wear in a cycle, volume",
-        order=ORDER_OF_MOTION,
+        error_class=MOTION_ERRORS,
         sentence="{name}: wear in a million cycles {wear_volume_million}, "
         "depth {wear_depth_max_million} (max), {wear_depth_p99_million} (p99)",
     ),
@@ -133,7 +136,7 @@ add_quantity(
         "mm",
         digits=9,
         label="wear in a cycle, depth, max",
-        order=ORDER_OF_TRACTION,
+        error_class=TRACTION_ERRORS,
         peak=True,
     ),
     _interface(
@@ -141,14 +144,14 @@ add_quantity(
         "mm",
         digits=9,
         label="wear in a cycle, depth, p99",
-        order=ORDER_OF_TRACTION,
+        error_class=TRACTION_ERRORS,
     ),
     _interface(
         "wear_depth_max_master",
         "mm",
         digits=9,
         label="wear in a cycle, depth, max, master",
-        order=ORDER_OF_TRACTION,
+        error_class=TRACTION_ERRORS,
         peak=True,
     ),
     _interface(
@@ -156,13 +159,13 @@ add_quantity(
         "mm",
         digits=9,
         label="wear in a cycle, depth, p99, master",
-        order=ORDER_OF_TRACTION,
+        error_class=TRACTION_ERRORS,
     ),
     _interface(
         "wear_volume_million",
         "mm^3",
         label="wear in a million cycles, volume",
-        order=ORDER_OF_MOTION,
+        error_class=MOTION_ERRORS,
         headline=True,
         on_page=True,
         caption="wear of {name} in a million cycles",
@@ -172,14 +175,14 @@ add_quantity(
         "wear_depth_max_million",
         "mm",
         label="wear in a million cycles, depth, max",
-        order=ORDER_OF_TRACTION,
+        error_class=TRACTION_ERRORS,
         peak=True,
     ),
     _interface(
         "wear_depth_p99_million",
         "mm",
         label="wear in a million cycles, depth, p99",
-        order=ORDER_OF_TRACTION,
+        error_class=TRACTION_ERRORS,
         headline=True,
         on_page=True,
     ),
@@ -187,14 +190,14 @@ add_quantity(
         "wear_depth_max_master_million",
         "mm",
         label="wear in a million cycles, depth, max, master",
-        order=ORDER_OF_TRACTION,
+        error_class=TRACTION_ERRORS,
         peak=True,
     ),
     _interface(
         "wear_depth_p99_master_million",
         "mm",
         label="wear in a million cycles, depth, p99, master",
-        order=ORDER_OF_TRACTION,
+        error_class=TRACTION_ERRORS,
         on_page=True,
     ),
     # Coverage and heat of finite sliding.
@@ -207,11 +210,11 @@ add_quantity(
         exact=True,
         sentence="{name}: {uncovered_fraction} of the slave surface left the master at some time",
     ),
-    _interface("friction_power", "W", digits=3, order=ORDER_OF_MOTION, on_page=True),
+    _interface("friction_power", "W", digits=3, error_class=MOTION_ERRORS, on_page=True),
     _interface(
         "temperature_swing",
         "K",
         label="temperature range in a cycle",
-        order=ORDER_OF_TRACTION,
+        error_class=TRACTION_ERRORS,
     ),
 )

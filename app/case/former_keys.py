@@ -8,7 +8,7 @@ of each version in ``tests/case/versions``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from app import __version__
@@ -102,6 +102,22 @@ def present_name(path: Path, former: Mapping[tuple[str, ...], str] = FORMER_KEYS
         ):
             return name
     return str(path[-1])
+
+
+def present_parts(file: CaseFile, parts: Sequence[str]) -> list[str]:
+    """Replace former names in the parts of a key, also before its last one; add notes to the file.
+
+    The names that are not former ones stay.
+    """
+    present: list[str] = []
+    for part in parts:
+        former_path = (*present, part)
+        name = present_name(former_path)
+        if name != part:
+            verdict = new_name(".".join(former_path), name)
+            file.notes += [verdict] if verdict not in file.notes else []
+        present += name.split(".")
+    return present
 
 
 def with_present_names(

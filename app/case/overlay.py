@@ -15,7 +15,7 @@ from typing import Any
 
 import configs
 from app.case import library
-from app.case.former_keys import new_name, of_this_version, present_name, with_present_names
+from app.case.former_keys import of_this_version, present_parts, with_present_names
 from app.case.merge_rules import (
     KEYS_OF_USE,
     MEASURED,
@@ -261,11 +261,7 @@ def _override(case: CaseFile, key: str, override: str) -> None:
         BadYaml: Malformed, or it goes through something that is not a mapping or list.
     """
     _, equals, value_text = override.partition("=")
-    path_parts = key_parts(key)
-    present_key = present_name(tuple(path_parts))
-    if present_key != path_parts[-1]:
-        case.notes.append(new_name(key, present_key))
-        path_parts[-1:] = present_key.split(".")
+    path_parts = present_parts(case, key_parts(key))
     if not equals or not all(path_parts):
         raise BadYaml("expected KEY=VALUE, e.g. interfaces.stem_cement.friction_coefficient=0.3")
     if len(path_parts) > yaml_file.DEEPEST:

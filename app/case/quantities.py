@@ -15,25 +15,21 @@ from dataclasses import dataclass
 from functools import partial, reduce
 from typing import Any
 
+from app.case.error_classes import (
+    DOSE_ERRORS,
+    MOTION_ERRORS,
+    RISK_ERRORS,
+    SLIP_ERRORS,
+    STRESS_ERRORS,
+    TEMPERATURE_ERRORS,
+    TRACTION_ERRORS,
+    ByOrder,
+    ErrorClass,
+)
 from app.case.summary import TEMPERATURE_LEVELS, Numbers
 from app.schema.section import did_you_mean, fail, show
 from app.schema.units import Dimension, Plain
 
-# Orders of convergence of P1 and P2 for estimates of errors (docs/verification.md).
-# Displacements.
-ORDER_OF_MOTION = (0.8, 1.3)
-# Slip.
-ORDER_OF_SLIP = (0.8, 1.2)
-# Contact pressure, shear stress and what they wear.
-ORDER_OF_TRACTION = (0.8, 0.8)
-# Stress in regions.
-ORDER_OF_STRESS = (0.8, 1.0)
-# Powers of stress, and volumes in which it exceeds a level.
-ORDER_OF_RISK = (0.8, 0.99)
-# Temperature.
-ORDER_OF_HEAT = (1.5, 1.5)
-# Thermal doses, times and cure.
-ORDER_OF_DOSE = (1.0, 1.0)
 # Dimension of each unit in summary.json, with its article.
 UNITS = {
     "mm": "a length",
@@ -93,7 +89,10 @@ class Quantity:
         shown: Unit in tables and figures; `unit` by default.
         digits: Decimals in the terminal, in unit `shown`.
         label: Name in tables and figures; the key by default.
-        order: Orders of convergence of P1 and P2; None: its error is not estimated.
+        order: Orders of convergence of P1 and P2; those of the class if there is one. None: its
+            error is not estimated.
+        error_class: Class with the factors of its error. With `order` alone the factor is that of
+            Richardson's extrapolation.
         peak: True if it is a maximum, which may diverge with refinement.
         exact: True if it has no discretization error: counts, run times, penetrations.
         vector: True if it has three components, ``.x`` .. in a study.
@@ -117,7 +116,8 @@ class Quantity:
     shown: str = ""
     digits: int = 2
     label: str = ""
-    order: tuple[float, float] | None = None
+    order: ByOrder | None = None
+    error_class: ErrorClass | None = None
     peak: bool = False
     exact: bool = False
     vector: bool = False
@@ -134,6 +134,10 @@ class Quantity:
         """Fill in the defaults."""
         object.__setattr__(self, "shown", self.shown or self.unit)
         object.__setattr__(self, "label", self.label or self.key.replace("_", " "))
+        if self.error_class:
+            object.__setattr__(self, "order", self.error_class.orders)
+        elif self.order:
+            object.__setattr__(self, "error_class", ErrorClass(self.key, self.order))
 
     @property
     def factor(self) -> float:
@@ -288,7 +292,7 @@ _stem = partial(Quantity, "stem")
 _femur = partial(Quantity, "femur")
 _bond = partial(Quantity, "bonds")
 _heated_region = partial(Quantity, "thermal.regions")
-_dose = partial(_heated_region, order=ORDER_OF_DOSE)
+_dose = partial(_heated_region, error_class=DOSE_ERRORS)
 _heated_interface = partial(Quantity, "thermal.interfaces")
 _cure = partial(Quantity, "cure")
 _solver = partial(Quantity, "solver")
@@ -300,8 +304,8 @@ def _spread(
     key: str,
     label: str,
     unit: Mapping[str, Any],
-    order: tuple[float, float],
-    order_of_mean: tuple[float, float],
+    error_class: ErrorClass,
+    class_of_mean: ErrorClass,
     headline: str = "",
     on_page: bool = False,
 ) -> Iterator[Quantity]:
@@ -311,19 +315,19 @@ def _spread(
         key: First part of their keys, before ``_max``.
         label: First part of their labels, before `, max`.
         unit: Their unit, and unit and digits in tables.
-        order: Order of convergence of the percentiles.
-        order_of_mean: Order of convergence of the mean.
+        error_class: Class of the percentiles.
+        class_of_mean: Class of the mean.
         headline: Statistic that compares runs. history.csv has it and the maximum.
         on_page: True if the page of a run has them in a table.
     """
     for statistic in ("max", "p95", "p99", "mean"):
-        orders = {"max": None, "mean": order_of_mean}
+        classes = {"max": None, "mean": class_of_mean}
         yield Quantity(
             "interfaces",
             f"{key}_{statistic}",
             **unit,
             label=f"{label}, {statistic}",
-            order=orders.get(statistic, order),
+            error_class=classes.get(statistic, error_class),
             peak=statistic == "max",
             step_record=bool(headline) and statistic in ("max", headline),
             headline=statistic == headline,
@@ -336,12 +340,15 @@ def _failure(section: str) -> Iterator[Quantity]:
     index = partial(Quantity, section, unit="-", digits=3)
     yield index("failure_index_max", label="failure index, max", peak=True)
     yield index(
-        "failure_index_p99", label="failure index, p99", order=ORDER_OF_TRACTION, step_record=True
+        "failure_index_p99",
+        label="failure index, p99",
+        error_class=TRACTION_ERRORS,
+        step_record=True,
     )
     yield index(
         "failure_load_factor",
         label="multiple of the load at which 1 % fails",
-        order=ORDER_OF_TRACTION,
+        error_class=TRACTION_ERRORS,
     )
 
 
@@ -356,15 +363,15 @@ _above_strength = partial(
 )
 MICROMETRES = {"unit": "mm", "shown": "um", "digits": 1}
 _of_motion = partial(
-    _spread, unit=MICROMETRES, order=ORDER_OF_MOTION, order_of_mean=ORDER_OF_MOTION
+    _spread, unit=MICROMETRES, error_class=MOTION_ERRORS, class_of_mean=MOTION_ERRORS
 )
-_of_slip = partial(_spread, unit=MICROMETRES, order=ORDER_OF_SLIP, order_of_mean=ORDER_OF_SLIP)
+_of_slip = partial(_spread, unit=MICROMETRES, error_class=SLIP_ERRORS, class_of_mean=SLIP_ERRORS)
 # Tractions at edges grow with refinement: their 95th percentile is the headline.
 _of_traction = partial(
     _spread,
     unit={"unit": "MPa"},
-    order=ORDER_OF_TRACTION,
-    order_of_mean=ORDER_OF_MOTION,
+    error_class=TRACTION_ERRORS,
+    class_of_mean=MOTION_ERRORS,
     headline="p95",
 )
 
@@ -429,8 +436,8 @@ add_quantity(
         )
         for level in levels
     ),
-    _interface("force", "N", order=ORDER_OF_MOTION, vector=True),
-    _interface("dissipation", "N mm", order=ORDER_OF_SLIP, step_record=True, curve=True),
+    _interface("force", "N", error_class=MOTION_ERRORS, vector=True),
+    _interface("dissipation", "N mm", error_class=SLIP_ERRORS, step_record=True, curve=True),
     _interface(
         "dissipation_min",
         "N mm",
@@ -446,7 +453,12 @@ add_quantity(
     _interface("area_damaged", "mm^2", digits=1, label="damaged area", step_record=True),
     _interface("area_broken", "mm^2", digits=1, label="broken area", step_record=True),
     _interface(
-        "damage_mean", "-", digits=4, label="damage, mean", order=ORDER_OF_MOTION, step_record=True
+        "damage_mean",
+        "-",
+        digits=4,
+        label="damage, mean",
+        error_class=MOTION_ERRORS,
+        step_record=True,
     ),
     _interface("pressure_by_facets", "MPa", label="pressure caused by facets, max", exact=True),
     _interface("pressure_mean_max", "MPa", label="mean pressure of a point, max"),
@@ -458,11 +470,15 @@ add_quantity(
 add_quantity(
     _region("von_mises_max", "MPa", label="von Mises stress, max", peak=True),
     _region(
-        "von_mises_p99", "MPa", label="von Mises stress, p99", order=ORDER_OF_STRESS, headline=True
+        "von_mises_p99",
+        "MPa",
+        label="von Mises stress, p99",
+        error_class=STRESS_ERRORS,
+        headline=True,
     ),
-    _region("hoop_p99", "MPa", label="hoop stress, p99", order=ORDER_OF_STRESS),
+    _region("hoop_p99", "MPa", label="hoop stress, p99", error_class=STRESS_ERRORS),
     _region("principal_max", "MPa", label="tension, max", peak=True),
-    _region("principal_p99", "MPa", label="tension, p99", order=ORDER_OF_STRESS),
+    _region("principal_p99", "MPa", label="tension, p99", error_class=STRESS_ERRORS),
     _region("principal_min", "MPa", label="smallest principal stress", peak=True),
     _region("mean_stress_min", "MPa", label="mean stress, min"),
     _region("mean_stress_max", "MPa", label="mean stress, max"),
@@ -472,7 +488,7 @@ add_quantity(
         "-",
         "%",
         label="creep strain, mean",
-        order=ORDER_OF_STRESS,
+        error_class=STRESS_ERRORS,
         headline=True,
     ),
     *(
@@ -481,22 +497,24 @@ add_quantity(
             "mm^3",
             digits=1,
             label=f"volume with tension over {level} MPa",
-            order=ORDER_OF_RISK,
+            error_class=RISK_ERRORS,
         )
         for level in TENSION_LEVELS
     ),
 )
 add_quantity(
-    _stem("subsidence", "mm", "um", 1, order=ORDER_OF_MOTION, step_record=True, headline=True),
-    _stem("retroversion", "deg", digits=3, order=ORDER_OF_MOTION, step_record=True, headline=True),
-    _stem("varus", "deg", digits=3, order=ORDER_OF_MOTION, step_record=True, headline=True),
+    _stem("subsidence", "mm", "um", 1, error_class=MOTION_ERRORS, step_record=True, headline=True),
+    _stem(
+        "retroversion", "deg", digits=3, error_class=MOTION_ERRORS, step_record=True, headline=True
+    ),
+    _stem("varus", "deg", digits=3, error_class=MOTION_ERRORS, step_record=True, headline=True),
     _stem(
         "insertion_subsidence",
         "mm",
         "um",
         1,
         label="subsidence during the insertion",
-        order=ORDER_OF_MOTION,
+        error_class=MOTION_ERRORS,
         on_page=True,
     ),
     _stem(
@@ -505,7 +523,7 @@ add_quantity(
         "um",
         1,
         label="displacement of the tip",
-        order=ORDER_OF_MOTION,
+        error_class=MOTION_ERRORS,
         vector=True,
     ),
     _stem(
@@ -514,7 +532,7 @@ add_quantity(
         "um",
         1,
         label="displacement of the top",
-        order=ORDER_OF_MOTION,
+        error_class=MOTION_ERRORS,
         vector=True,
     ),
     _stem(
@@ -522,17 +540,17 @@ add_quantity(
         "N",
         digits=0,
         label="force on the collar",
-        order=ORDER_OF_MOTION,
+        error_class=MOTION_ERRORS,
         on_page=True,
     ),
-    _stem("flank_force", "N", digits=0, label="force on the flanks", order=ORDER_OF_MOTION),
+    _stem("flank_force", "N", digits=0, label="force on the flanks", error_class=MOTION_ERRORS),
     _stem(
         "collar_share",
         "-",
         "%",
         0,
         label="part of the axial force on the collar",
-        order=ORDER_OF_MOTION,
+        error_class=MOTION_ERRORS,
         on_page=True,
     ),
 )
@@ -541,7 +559,7 @@ add_quantity(
         "head_displacement",
         "mm",
         label="displacement of the head",
-        order=ORDER_OF_MOTION,
+        error_class=MOTION_ERRORS,
         vector=True,
     ),
     # Strains of the cortex.
@@ -552,7 +570,7 @@ add_quantity(
             "um/m",
             0,
             label=f"{side} strain at z = {z:g} mm",
-            order=ORDER_OF_STRESS,
+            error_class=STRESS_ERRORS,
         )
         for side in ("lateral", "medial")
         for gauge, z in GAUGES.items()
@@ -572,32 +590,36 @@ add_quantity(
         "degC",
         digits=1,
         label="highest temperature",
-        order=ORDER_OF_HEAT,
+        error_class=TEMPERATURE_ERRORS,
         headline=True,
     ),
     _heated_region(
-        "temperature_min", "degC", digits=1, label="lowest temperature", order=ORDER_OF_HEAT
+        "temperature_min",
+        "degC",
+        digits=1,
+        label="lowest temperature",
+        error_class=TEMPERATURE_ERRORS,
     ),
     _heated_region(
         "temperature_mean",
         "degC",
         digits=1,
         label="mean temperature at the end",
-        order=ORDER_OF_HEAT,
+        error_class=TEMPERATURE_ERRORS,
     ),
     _heated_region(
         "temperature_end_max",
         "degC",
         digits=1,
         label="highest temperature at the end",
-        order=ORDER_OF_HEAT,
+        error_class=TEMPERATURE_ERRORS,
     ),
     _heated_region(
         "temperature_max_time",
         "s",
         digits=1,
         label="time of the highest temperature",
-        order=ORDER_OF_DOSE,
+        error_class=DOSE_ERRORS,
     ),
     *(
         _dose(f"seconds_over_{level}", "s", digits=1, label=f"time over {level} °C")
@@ -607,13 +629,13 @@ add_quantity(
         _dose(f"volume_over_{level}", "mm^3", digits=1, label=f"volume over {level} °C")
         for level in TEMPERATURE_LEVELS
     ),
-    _heated_region("cem43_max", "min", digits=1, label="dose CEM43, max", order=ORDER_OF_DOSE),
+    _heated_region("cem43_max", "min", digits=1, label="dose CEM43, max", error_class=DOSE_ERRORS),
     _heated_region(
         "henriques_moritz_max",
         "-",
         digits=1,
         label="damage by Henriques-Moritz, max",
-        order=ORDER_OF_DOSE,
+        error_class=DOSE_ERRORS,
     ),
     # Dead bone.
     *(
@@ -632,7 +654,7 @@ add_quantity(
             "degC",
             digits=1,
             label=f"highest temperature, {side} side",
-            order=ORDER_OF_HEAT,
+            error_class=TEMPERATURE_ERRORS,
             headline=True,
         )
         for side in ("first", "second")
@@ -643,15 +665,19 @@ add_quantity(
             "s",
             digits=1,
             label=f"time of the maximum, {side} side",
-            order=ORDER_OF_DOSE,
+            error_class=DOSE_ERRORS,
         )
         for side in ("first", "second")
     ),
     _heated_interface(
-        "temperature_jump_max", "K", digits=1, label="temperature jump, max", order=ORDER_OF_HEAT
+        "temperature_jump_max",
+        "K",
+        digits=1,
+        label="temperature jump, max",
+        error_class=TEMPERATURE_ERRORS,
     ),
     _heated_interface(
-        "heat_flux_max", "W/m^2", digits=0, label="heat flux, max", order=ORDER_OF_HEAT
+        "heat_flux_max", "W/m^2", digits=0, label="heat flux, max", error_class=TEMPERATURE_ERRORS
     ),
     _heated_interface(
         "entropy_production_min", "W/(m^2 K)", digits=1, label="entropy production, min"
@@ -661,15 +687,23 @@ add_quantity(
     ),
 )
 add_quantity(
-    _cure("degree_min", "-", digits=4, label="degree of cure, min", order=ORDER_OF_DOSE),
-    _cure("degree_max", "-", digits=4, label="degree of cure, max", order=ORDER_OF_DOSE),
+    _cure("degree_min", "-", digits=4, label="degree of cure, min", error_class=DOSE_ERRORS),
+    _cure("degree_max", "-", digits=4, label="degree of cure, max", error_class=DOSE_ERRORS),
     _cure(
-        "time_50", "s", digits=1, label="time until 50 % has set everywhere", order=ORDER_OF_DOSE
+        "time_50",
+        "s",
+        digits=1,
+        label="time until 50 % has set everywhere",
+        error_class=DOSE_ERRORS,
     ),
     _cure(
-        "time_90", "s", digits=1, label="time until 90 % has set everywhere", order=ORDER_OF_DOSE
+        "time_90",
+        "s",
+        digits=1,
+        label="time until 90 % has set everywhere",
+        error_class=DOSE_ERRORS,
     ),
-    _cure("rate_max", "1/s", digits=4, label="rate of cure, max", order=ORDER_OF_DOSE),
+    _cure("rate_max", "1/s", digits=4, label="rate of cure, max", error_class=DOSE_ERRORS),
 )
 add_quantity(
     _solver("newton_iterations", "-", label="Newton iterations", exact=True),
@@ -694,9 +728,18 @@ add_section(
         owners=lambda case: (case.output and case.output.probes) or (),
     ),
     Quantity(
-        "probes", "strain", "-", "um/m", 0, order=ORDER_OF_STRESS, step_record=True, headline=True
+        "probes",
+        "strain",
+        "-",
+        "um/m",
+        0,
+        error_class=STRESS_ERRORS,
+        step_record=True,
+        headline=True,
     ),
-    Quantity("probes", "displacement", "mm", order=ORDER_OF_MOTION, vector=True, step_record=True),
+    Quantity(
+        "probes", "displacement", "mm", error_class=MOTION_ERRORS, vector=True, step_record=True
+    ),
 )
 
 

@@ -130,7 +130,7 @@ def name_of_line(run: PlannedRun) -> str:
 
 
 def _density(case: Case) -> tuple[float, str]:
-    """Lines around the stem, else cells per mm, and both in words."""
+    """Density of the mesh, and the same in words: lines around the stem, else cells per mm."""
     lines_around = case.geometry.grid(case.mesh).get("lines around")
     if lines_around or not case.mesh.size:
         return (

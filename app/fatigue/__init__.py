@@ -11,10 +11,8 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from app.case.case import Case
+from app.case.error_classes import MOTION_ERRORS, RISK_ERRORS, STRESS_ERRORS
 from app.case.quantities import (
-    ORDER_OF_MOTION,
-    ORDER_OF_RISK,
-    ORDER_OF_STRESS,
     NumberSection,
     Quantity,
     add_quantity,
@@ -95,7 +93,7 @@ add_quantity(
         "-",
         digits=4,
         label="Weibull's risk of rupture",
-        order=ORDER_OF_RISK,
+        error_class=RISK_ERRORS,
         peak=True,
         headline=True,
     ),
@@ -105,7 +103,7 @@ add_quantity(
         "-",
         "%",
         label="probability of failure",
-        order=ORDER_OF_RISK,
+        error_class=RISK_ERRORS,
     ),
 )
 add_section(
@@ -127,11 +125,13 @@ add_section(
         "1/year",
         digits=4,
         label="damage, p99",
-        order=ORDER_OF_RISK,
+        error_class=RISK_ERRORS,
         headline=True,
     ),
     Quantity("fatigue", "damage_max", "1/year", digits=4, label="damage, max", peak=True),
-    Quantity("fatigue", "stress_p99", "MPa", label="equivalent stress, p99", order=ORDER_OF_STRESS),
+    Quantity(
+        "fatigue", "stress_p99", "MPa", label="equivalent stress, p99", error_class=STRESS_ERRORS
+    ),
 )
 add_section(
     NumberSection(
@@ -152,7 +152,7 @@ add_section(
         "MPa",
         digits=1,
         label="largest axial stress at the level of the resin",
-        order=ORDER_OF_STRESS,
+        error_class=STRESS_ERRORS,
         headline=True,
     ),
     Quantity(
@@ -161,7 +161,7 @@ add_section(
         "MPa",
         digits=1,
         label="tension above the resin, p99",
-        order=ORDER_OF_STRESS,
+        error_class=STRESS_ERRORS,
         headline=True,
     ),
     Quantity(
@@ -178,7 +178,7 @@ add_section(
         "mm",
         digits=3,
         label="deflection of the head along the force",
-        order=ORDER_OF_MOTION,
+        error_class=MOTION_ERRORS,
         headline=True,
     ),
     Quantity("stem_test", "life_median", "-", digits=0, label="cycles to failure, median"),

@@ -73,8 +73,8 @@ def several(number: int, noun: str) -> str:
     return f"{count(number)} {noun}{'' if number == 1 else 's'}"
 
 
-def times_text(values: Iterable[float], digits: int = 6) -> str:
-    """Numbers of a product: 512 x 512, 1 x 1 x 2.5."""
+def product_text(values: Iterable[float], digits: int = 6) -> str:
+    """Numbers as a product: 512 x 512, 1 x 1 x 2.5."""
     return " x ".join(f"{value:.{digits}g}" for value in values)
 
 

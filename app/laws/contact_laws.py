@@ -227,7 +227,7 @@ class Unilateral(Frictional):
         from forms.contact import contact_law
 
         return contact_law(
-            F=point.F,
+            λ=point.λ,
             jump=point.jump,
             initial_gap=point.initial_gap,
             jump_old=point.jump_old,

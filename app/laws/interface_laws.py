@@ -96,7 +96,7 @@ class AtPoint:
     """Input of a law at a point, as UFL expressions.
 
     Attributes:
-        F: Multiplier: the interface force per area (3,) [MPa].
+        λ: Multiplier: the interface force per area, if no layer is in series (3,) [MPa].
         jump: Displacement of the slave minus that of the master (3,) [mm].
         initial_gap: Vector whose normal components are the initial gaps of the faces (3,) [mm].
         jump_old: Jump of the last converged state (3,) [mm].
@@ -109,7 +109,7 @@ class AtPoint:
             solve of a step, so that no early iterate damages a point.
     """
 
-    F: Expr
+    λ: Expr
     jump: Expr
     initial_gap: Expr
     jump_old: Expr

@@ -42,12 +42,12 @@ class Traction(InterfaceLaw):
     module of `forms`; no other file changes.
 
     `response` calls the methods once for each compiled form and differentiates their results. With
-    the traction T and the debonded share s, the force of a point with multiplier F and jump D is T
-    where s is 0 or None, else
+    the traction T and the debonded share s, the force of a point with multiplier λ is T where s is
+    0 or None, else
 
-    .. math:: T + P(F - T + r D),
+    .. math:: T + P(λ - T + r ΔG),
 
-    with P the response of contact without cohesion and the friction coefficient s μ, its work
+    with P and ΔG those of contact without cohesion and the friction coefficient s μ, its work
     counted as friction (`mechanics.debonded_contact`). `new_internal_variables` are
     committed with a converged step. The other results are numbers and fields of the run alone, but
     `dissipated` also sets the steps of a stage with `fracture_step`.

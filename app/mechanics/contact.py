@@ -7,10 +7,10 @@ stiffness of the body. The equilibrium of a linear scene is
           \qquad C = \sum_b K_b B_b, \quad D = \sum_b B_b^T K_b B_b, \quad f_q = \sum_b B_b^T f_b,
 
 with W the diagonal matrix of the areas of the contact points, and F their tractions [MPa]. So F is
--e/W, with e = C^T u + D q - f_q. With the gap vector, here called G(q) as D is a matrix, the law
-F = P(F + r G(q)) is one equation per point:
+-e/W, with e = C^T u + D q - f_q. Without elastic layers F is the multiplier, too. With the vector
+ΔG(q) of `forms.contact`, the law F = P(F + r ΔG) is then one equation per point:
 
-.. math:: e + W P(-e/W + r G(q)) = 0.
+.. math:: e + W P(-e/W + r ΔG(q)) = 0.
 
 Its Jacobian rows are (1 - P') [C^T, D] + r W P'. At open points (P' = 0) the row is equilibrium. At
 points that stick (P' = 1) the row prescribes the jump. If all points stick from rest and without
@@ -95,13 +95,13 @@ class TrialState:
         slip = np.where(is_slipping, contact.local.tangential(motion, closed_faces), 0.0)
         return friction, slip
 
-    def _closed_faces(self, step: Floats) -> Bools:
-        """Faces that are closed after a step (n, 3).
+    def _closed_faces(self, motion: Floats) -> Bools:
+        """Faces that count as closed for a motion (n, 3): pressed, or with a small gap.
 
         At an edge the tangential direction is along the edge. If friction on one face holds the
         point against another face, there is a force across the edge too, but no slip.
         """
-        rounding = CLOSED_GAP * np.linalg.norm(step, axis=1)
+        rounding = CLOSED_GAP * np.linalg.norm(motion, axis=1)
         is_nearly_closed = self.contact.gaps.openings(self.jump) <= rounding[:, None]
         return np.asarray((self.forces.pressures > 0) | is_nearly_closed)
 
@@ -137,17 +137,19 @@ class TrialState:
     def committed(self) -> ContactState:
         """State of the points after a converged step: jump, tractions, path, dissipation.
 
-        A point that ends a step in contact slides by the tangential part of the step: the motion
-        for which the law computes its friction. The motion of open points is not on the path.
+        *path*: A point that ends a step in contact slides by the tangential part of the step: the
+        motion for which the law computes its friction. Open points do not slide.
 
-        Dissipation is the implicit sum: new friction times the slip of the step. The incremental
-        potential (eq. 55) makes it non-negative at each point. The trapezoidal rule would be
-        negative when friction reverses. Work is trapezoidal, so that the energy balance closes.
+        *dissipation*: That of friction, of the law, and of the debonded area. Friction is the
+        implicit sum: new friction times the slip of the step. The incremental potential (eq. 55)
+        makes it non-negative at each point. The trapezoidal rule is negative when friction
+        reverses.
 
-        Contact without tension does no work in its total gap, the sum of jump and initial gap. (A
-        changing initial gap does work in the jump.) ``contact_work`` is therefore the error of load
-        steps in which points close or open. It contains the normal energy of a layer, which is
-        released when the layer opens.
+        *work*: By the trapezoidal rule, so that the energy balance closes.
+
+        *contact_work*: Work of the pressures in the gap, which is zero in exact load steps. So it
+        is the error of steps in which points close or open. It contains the normal energy of a
+        layer, which is released when the layer opens.
         """
         contact, law = self.contact, self.forces
         before = contact.state
@@ -174,7 +176,7 @@ class TrialState:
         )
         return ContactState(
             jump=self.jump.copy(),
-            inserted=before.inserted,
+            jump_at_insertion=before.jump_at_insertion,
             force=force,
             friction=friction,
             gap_vector=gap_vector,
@@ -326,17 +328,17 @@ class ContactInterfaces:
         self.coupling.update(self._stiffness.constraints)
         self.laws.update_stiffness(self.coupling.jump_stiffness())
 
-    def set_time(self, time: float) -> None:
-        """Set gaps and prescribed jumps to a time."""
-        self.gaps.set_time(time, self.state.jump)
+    def set_time(self, load_time: float) -> None:
+        """Set gaps and prescribed jumps to a time of the loads."""
+        self.gaps.set_time(load_time, self.state.jump)
         self.prescribed = np.zeros((len(self.local), 3))
         for support, jump in zip(self._supports, self._unit_jumps, strict=True):
-            self.prescribed += amplitude(support.history, time) * jump
+            self.prescribed += amplitude(support.history, load_time) * jump
 
     def commit(self, state: ContactState, time: float) -> None:
-        """Set the committed state, and its time."""
-        if time <= self.gaps.insertion_time:
-            state.inserted = state.jump
+        """Set the committed state, and its time in the run."""
+        if time <= self.gaps.end_of_insertion:
+            state.jump_at_insertion = state.jump
         self.state = state
         self.gaps.commit(state.jump, time)
 
@@ -351,11 +353,11 @@ class ContactInterfaces:
 
     def unresisted_motions(self, status: Ints) -> Floats:
         """Rigid motions that nothing resists at states (n,); collective."""
-        return self.motions.unresisted(status, self.remedies.switches.constrained)
+        return self.motions.unresisted(status, self.remedies.switches.stuck)
 
     def motions_resisted_by_open_points(self, status: Ints) -> Floats:
         """Rigid motions that only open points resist (6 bodies, k); collective."""
-        return self.motions.resisted_by_open_points(status, self.remedies.switches.constrained)
+        return self.motions.resisted_by_open_points(status, self.remedies.switches.stuck)
 
     def augmentation(self) -> dict[str, float]:
         """Augmentation of each interface that can open [MPa/mm], by name; collective."""
@@ -384,10 +386,10 @@ class ContactInterfaces:
         return self.local.project_free(-e / self.local.weight[:, None])
 
     def multiplier(self, e: Floats) -> Floats:
-        """Multiplier, the part of the trial force without r G (n, 3) [MPa].
+        """Multiplier λ, the part of the trial force without r ΔG (n, 3) [MPa].
 
         Without a layer it is the traction F = -e/W. With an elastic layer of compliance c it is
-        F - r c (F - F_old), with F_old the friction of the last converged state, which has no
+        λ = F - r c (F - F_old), with F_old the friction of the last converged state, which has no
         normal part. Contact then holds for the jump without the stretch of the layer, for any r.
         """
         F, layers = self.forces(e), np.eye(3) - self.laws.multiplier_share

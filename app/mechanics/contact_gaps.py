@@ -1,6 +1,6 @@
 r"""Gaps of the contact points, over time and as points slide to other places.
 
-The gap vector of a point is D = q + g, with its jump q and the vector g of its initial gap. The
+The gap vector of a point is G = q + g, with its jump q and the vector g of its initial gap. The
 keys of an interface and their history give the initial gap at a time. In small sliding nothing else
 changes it. In finite sliding it is that of the point on the other side with which the contact point
 was paired last, at the jump q_0 and the distance d along the normal n,
@@ -35,7 +35,7 @@ class ContactGaps:
     Attributes:
         initial_gap: Vectors g of the initial gap at the current time and pairs (n, 3) [mm].
         committed_jump: Jumps of the committed state, expressed in the current pairs (n, 3) [mm].
-        insertion_time: Time up to which the gap of press fits changes.
+        end_of_insertion: Time up to which the gap of press fits changes.
 
     Args:
         comm: All ranks.
@@ -72,28 +72,28 @@ class ContactGaps:
             for i, c in enumerate(self._interfaces)
             if c.press_fit
         )
-        self.insertion_time = max(settling_times, default=0.0) + TIME_ROUNDING
+        self.end_of_insertion = max(settling_times, default=0.0) + TIME_ROUNDING
         if self._finite_sliding is not None:
             self._finite_sliding.begin(scene)
         self._committed_time = 0.0
         self.committed_jump: Floats = np.zeros((len(self._local), 3))
 
-    def set_time(self, time: float, jump: Floats) -> None:
-        """Set the initial gaps to a time; collective.
+    def set_time(self, load_time: float, jump: Floats) -> None:
+        """Set the initial gaps to a time of the loads; collective.
 
         Args:
-            time: Stage k runs from k to k + 1.
+            load_time: In stage k it is between k and k + 1.
             jump: Jumps of the committed state (n, 3) [mm], at which points are paired.
         """
         gap = np.zeros(len(self._local))
         for i, c in enumerate(self._interfaces):
             at_interface = self._local.interface == i
-            gap[at_interface] = gap_at(self._full_gap[at_interface], c.gap_history, time)
+            gap[at_interface] = gap_at(self._full_gap[at_interface], c.gap_history, load_time)
         self._gap_by_keys = gap
         if self._finite_sliding is None:
             self.initial_gap = initial_gap_vectors(self._local.normals, gap)
         else:
-            self._finite_sliding.set_time(time)
+            self._finite_sliding.set_time(load_time)
             self.set_pairs(jump)
 
     def set_pairs(self, jump: Floats) -> None:
@@ -131,7 +131,7 @@ class ContactGaps:
         return True
 
     def commit(self, jump: Floats, time: float) -> None:
-        """Commit jumps (n, 3) [mm] at a time, with the current pairs."""
+        """Commit jumps (n, 3) [mm] at a time of the run, with the current pairs."""
         self.committed_jump, self._committed_time = jump, time
         if self._finite_sliding is not None:
             self._finite_sliding.commit()
@@ -139,7 +139,7 @@ class ContactGaps:
     @property
     def is_inserting(self) -> bool:
         """True if the last committed step ended before all press fits have their final gap."""
-        return 0.0 < self._committed_time <= self.insertion_time
+        return 0.0 < self._committed_time <= self.end_of_insertion
 
     @property
     def reference(self) -> Floats:
@@ -149,10 +149,10 @@ class ContactGaps:
         return self._finite_sliding.reference(self.committed_jump)
 
     @property
-    def at_pairing(self) -> Floats:
+    def gap_at_pairing(self) -> Floats:
         """Gap along the normal when points were paired last (n,) [mm].
 
-        Points with small sliding are paired at zero jump.
+        In small sliding it is the gap by the keys, whatever the jump.
         """
         gap = self._gap_by_keys.copy()
         if self._finite_sliding is not None:
@@ -160,7 +160,7 @@ class ContactGaps:
         return gap
 
     def gap_vector(self, jump: Floats) -> Floats:
-        """Gap vectors D of jumps (n, 3) [mm]; in finite sliding along the normal alone."""
+        """Gap vectors G of jumps (n, 3) [mm]; in finite sliding along the normal alone."""
         gaps = jump + self.initial_gap
         if self._finite_sliding is not None:
             rows = self._finite_sliding.rows

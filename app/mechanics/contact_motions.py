@@ -67,16 +67,16 @@ class ContactMotions:
         """Forget the resistance of supports, because other supports act."""
         self._support_resistance = None
 
-    def numbers_of_floating_bodies(self, touched: Bools, constrained: Bools) -> set[int]:
+    def numbers_of_floating_bodies(self, touched: Bools, stuck: Bools) -> set[int]:
         """Numbers of bodies that neither supports nor touching points hold; collective.
 
         Friction and bonds hold a touching point in all directions, otherwise its faces hold it.
 
         Args:
             touched: Mask of local points that touch (n,).
-            constrained: Mask of local points that a remedy forces to stick (n,).
+            stuck: Mask of local points that a remedy forces to stick (n,).
         """
-        resists = self._resists_all_jumps(constrained)
+        resists = self._resists_all_jumps(stuck)
         free_motions = self._weakly_resisted_motions(
             touched & resists, touched & ~resists, FREE_RESISTANCE
         )
@@ -85,7 +85,7 @@ class ContactMotions:
         )
         return {int(body) for body in np.flatnonzero(takes_part)}
 
-    def unresisted(self, status: Ints, constrained: Bools) -> Floats:
+    def unresisted(self, status: Ints, stuck: Bools) -> Floats:
         """Rigid motions that nothing resists in a state (6 bodies, k); collective.
 
         In such a motion bodies slide along all their faces, touching or not. No touching point with
@@ -95,38 +95,38 @@ class ContactMotions:
 
         Args:
             status: States of local points (n,).
-            constrained: Mask of local points that a remedy forces to stick (n,).
+            stuck: Mask of local points that a remedy forces to stick (n,).
         """
         if self._has_finite_sliding:
             return np.zeros((6 * self._body_count, 0))
-        touch = (status != OPEN) | constrained
-        stick = touch & self._resists_all_jumps(constrained)
+        touch = (status != OPEN) | stuck
+        stick = touch & self._resists_all_jumps(stuck)
         return self._weakly_resisted_motions(stick, ~stick, ZERO_RESISTANCE)
 
-    def resisted_by_open_points(self, status: Ints, constrained: Bools) -> Floats:
+    def resisted_by_open_points(self, status: Ints, stuck: Bools) -> Floats:
         """Rigid motions that only open points resist (6 bodies, k); collective.
 
         The motions of `unresisted` are not among them.
 
         Args:
             status: States of local points (n,).
-            constrained: Mask of local points that a remedy forces to stick (n,).
+            stuck: Mask of local points that a remedy forces to stick (n,).
         """
         if self._has_finite_sliding:
             return np.zeros((6 * self._body_count, 0))
-        touch = (status != OPEN) | constrained
-        resists = self._resists_all_jumps(constrained)
+        touch = (status != OPEN) | stuck
+        resists = self._resists_all_jumps(stuck)
         weakly_resisted = self._weakly_resisted_motions(
             touch & resists, touch & ~resists, FREE_RESISTANCE
         )
-        return motions_outside(weakly_resisted, self.unresisted(status, constrained))
+        return motions_outside(weakly_resisted, self.unresisted(status, stuck))
 
-    def _resists_all_jumps(self, constrained: Bools) -> Bools:
+    def _resists_all_jumps(self, stuck: Bools) -> Bools:
         """Mask of points that resist any jump if they touch (n,).
 
         Friction, a bond, or a remedy resists.
         """
-        return self._law.law_has_friction | ~self._law.law_is_contact | constrained
+        return self._law.law_has_friction | ~self._law.law_is_contact | stuck
 
     def _weakly_resisted_motions(self, stick: Bools, slide: Bools, threshold: float) -> Floats:
         """Rigid motions resisted by less than a threshold (6 bodies, k); collective.

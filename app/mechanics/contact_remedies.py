@@ -1,12 +1,13 @@
 """Changes of the contact that remedies of Newton's method ask for, one after another.
 
-`numerics.remedies` begins a change and ends it. The changes at a time are one value,
-`mechanics.switches.Switches`.
+`numerics.remedies` makes each change by a `with` statement, which ends it. The changes at a time
+are one value, `mechanics.switches.Switches`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 from mpi4py import MPI
@@ -55,17 +56,32 @@ class ContactRemedies:
         self.switches = Switches.off(len(self._local))
         self.last_trial_force: Floats = np.zeros((len(self._local), 3))
 
-    def constrain(self) -> bool:
+    @contextmanager
+    def _switched(self, switches: Switches) -> Iterator[None]:
+        """Set switches, and the former ones at the end."""
+        before, self.switches = self.switches, switches
+        try:
+            yield
+        finally:
+            self.switches = before
+
+    @contextmanager
+    def constraining(self) -> Iterator[bool]:
         """Constrain interfaces that have to close to hold a body; collective.
 
         Two kinds of interfaces are constrained: those without a touching point, and those with open
         points whose body neither supports nor touching points hold. Their sides then touch and
         stick, which moves the body into contact.
 
-        Returns:
+        Yields:
             True if interfaces are constrained.
         """
-        constrained = np.zeros(len(self._local), dtype=bool)
+        stuck = self._points_to_stick()
+        with self._switched(replace(self.switches, stuck=stuck)):
+            yield bool(self._comm.allreduce(bool(stuck.any()), MPI.LOR))
+
+    def _points_to_stick(self) -> Bools:
+        stuck = np.zeros(len(self._local), dtype=bool)
         touching = self._touching()
         floating: set[int] | None = None
         for i in np.unique(self._points.interface):
@@ -78,47 +94,35 @@ class ContactRemedies:
                 continue
             if has_touching:
                 if floating is None:
-                    floating = self._motions.numbers_of_floating_bodies(touching, constrained)
+                    floating = self._motions.numbers_of_floating_bodies(touching, stuck)
                 bodies = np.unique(self._points.bodies[self._points.interface == i])
                 if floating.isdisjoint(bodies.tolist()):
                     continue
-            constrained |= at_interface
-        self.switches = replace(self.switches, constrained=constrained)
-        return bool(self._comm.allreduce(bool(constrained.any()), MPI.LOR))
+            stuck |= at_interface
+        return stuck
 
-    def release(self) -> None:
-        """Release constrained interfaces."""
-        none = np.zeros(len(self._local), dtype=bool)
-        self.switches = replace(self.switches, constrained=none)
-
-    def open(self) -> bool:
+    @contextmanager
+    def opening(self) -> Iterator[bool]:
         """Open all interfaces that can open; collective.
 
         Laws other than contact keep their forces.
 
-        Returns:
+        Yields:
             True if interfaces are opened.
         """
         opened = self._laws.law_has_contact & self._laws.law_can_open
-        self.switches = replace(self.switches, opened=opened)
-        return bool(self._comm.allreduce(bool(opened.any()), MPI.LOR))
+        with self._switched(replace(self.switches, opened=opened)):
+            yield bool(self._comm.allreduce(bool(opened.any()), MPI.LOR))
 
-    def allow_closing(self) -> None:
-        """Let opened interfaces close."""
-        none = np.zeros(len(self._local), dtype=bool)
-        self.switches = replace(self.switches, opened=none)
+    @contextmanager
+    def freezing(self) -> Iterator[bool]:
+        """Freeze the internal variables; yield True if there are any."""
+        has_variables = bool(self._laws.internal_variables)
+        with self._switched(replace(self.switches, freezes_variables=has_variables)):
+            yield has_variables
 
-    def freeze(self) -> bool:
-        """Freeze the internal variables; return True if there are any."""
-        freezes_variables = bool(self._laws.internal_variables)
-        self.switches = replace(self.switches, freezes_variables=freezes_variables)
-        return freezes_variables
-
-    def unfreeze(self) -> None:
-        """Let the internal variables change."""
-        self.switches = replace(self.switches, freezes_variables=False)
-
-    def begin_tresca_friction(self) -> bool:
+    @contextmanager
+    def tresca_friction(self) -> Iterator[bool]:
         """Limit friction by pressures that are given, not by those of the state; collective.
 
         They begin at zero, so the first solve has no friction.
@@ -126,18 +130,17 @@ class ContactRemedies:
         The problem with given pressures is that of Tresca: it is convex, and has one solution.
         Friction of the debonded area of a cohesive law stays as it is.
 
-        Returns:
+        Yields:
             True if there is contact with friction.
         """
         has_local_friction = bool((self._laws.law_has_friction & self._laws.law_is_contact).any())
         has_friction = bool(self._comm.allreduce(has_local_friction, MPI.LOR))
-        if has_friction:
-            none = np.zeros((len(self._local), 3))
-            self.switches = replace(self.switches, tresca_force=none)
-        return has_friction
+        given = np.zeros((len(self._local), 3)) if has_friction else None
+        with self._switched(replace(self.switches, tresca_trial_force=given)):
+            yield has_friction
 
     def relax_tresca_friction(self, share: float) -> float:
-        """Move the stored trial forces by a share towards those of the last evaluation; collective.
+        """Move the given trial forces by a share towards those of the last evaluation; collective.
 
         Returns:
             Size of the difference before the move, over the size of the last trial forces [-].
@@ -145,15 +148,12 @@ class ContactRemedies:
         Raises:
             ValueError: Friction is not limited by given pressures.
         """
-        given, last = self.switches.tresca_force, self.last_trial_force
+        given, last = self.switches.tresca_trial_force, self.last_trial_force
         if given is None:
             raise ValueError("friction is not limited by given pressures")
         difference = last - given
-        self.switches = replace(self.switches, tresca_force=given + share * difference)
+        moved = given + share * difference
+        self.switches = replace(self.switches, tresca_trial_force=moved)
         squares = np.array([(difference**2).sum(), (last**2).sum()])
         change, size = np.sqrt(self._comm.allreduce(squares, MPI.SUM))
         return float(change / size) if size else 0.0
-
-    def end_tresca_friction(self) -> None:
-        """Limit friction by the pressures of the state."""
-        self.switches = replace(self.switches, tresca_force=None)

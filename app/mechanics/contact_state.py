@@ -105,10 +105,10 @@ class ContactState:
 
     Attributes:
         jump: Jump (n, 3) [mm].
-        inserted: Jump when the gap of press fits last changed (n, 3) [mm].
+        jump_at_insertion: Jump when the gap of press fits last changed (n, 3) [mm].
         force: Interface force per area, conjugate to the jump (n, 3) [MPa].
         friction: Friction part of the force (n, 3) [MPa].
-        gap_vector: Gap vector D, the jump plus the initial gap (n, 3) [mm].
+        gap_vector: Gap vector G, the jump plus the initial gap (n, 3) [mm].
         slip: Slip (n, 3) [mm]; `mechanics.contact.TrialState.slip` defines it.
         step_slip: Length of sliding in contact in the last step (n,) [mm].
         path: Length of the path of sliding in contact (n,) [mm].
@@ -121,7 +121,7 @@ class ContactState:
     """
 
     jump: Floats
-    inserted: Floats
+    jump_at_insertion: Floats
     force: Floats
     friction: Floats
     gap_vector: Floats
@@ -146,7 +146,7 @@ class ContactState:
         zero_vectors, zero_scalars = np.zeros((n, 3)), np.zeros(n)
         return cls(
             jump=zero_vectors,
-            inserted=zero_vectors,
+            jump_at_insertion=zero_vectors,
             force=zero_vectors,
             friction=zero_vectors,
             gap_vector=zero_vectors,

@@ -2,9 +2,10 @@ r"""Contact on the debonded share of a cohesive interface, as a function of arra
 
 With the traction T of a law and its debonded share s, the force of a point is
 
-.. math:: F = T + P(F - T + r D) \quad \text{with the friction coefficient } s μ .
+.. math:: F = T + P(λ - T + r ΔG) \quad \text{with the friction coefficient } s μ,
 
-P is a separate kernel, because ffcx needs minutes to compile T and P together.
+with the law P, the multiplier λ and the vector ΔG of `forms.contact`. P is a separate kernel,
+because ffcx needs minutes to compile T and P together.
 
 The derivative of the friction with respect to s assumes that the radius of the friction disc is
 proportional to the friction coefficient (`forms.contact._friction`): friction at the limit is then
@@ -72,7 +73,7 @@ def debonded_contact(
 
     Args:
         contact_law: Law of contact P.
-        inputs: Inputs of P by name: ``multiplier`` F (n, 3) [MPa]; ``jump``, ``jump_old`` of the
+        inputs: Inputs of P by name: ``multiplier`` λ (n, 3) [MPa]; ``jump``, ``jump_old`` of the
             last converged state and ``initial_gap`` (n, 3) [mm]; augmentation ``r`` (n,) [MPa/mm];
             with friction, the coefficient ``μ`` of the whole area (n,) [-].
         debonding: Cohesive response.

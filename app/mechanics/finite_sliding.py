@@ -5,12 +5,12 @@ slave is at :math:`X - c + q` from the centre c of the master's rotation, wherev
 and normal of the surface therefore follow from q alone, in axes rotated by R. They are linearized
 about the jumps q_0 at which the points were paired with the surface last,
 
-.. math:: D_n = g + n · (q - q_0).
+.. math:: G_n = g + n · (q - q_0).
 
 The slip of a step is the motion less that of the body's surface. With w the rotation vector of the
 step and a the arm of the touching point,
 
-.. math:: D_T = (1 - n ⊗ n) (q - q_{ref}), \qquad q_{ref} = q_{old} + w × a.
+.. math:: ΔG_T = (1 - n ⊗ n) (q - q_{ref}), \qquad q_{ref} = q_{old} + w × a.
 
 It is a length along arcs, so that dissipation does not depend on the step. Rigid and deformable
 masters are alike here; `mechanics.followers` says in what they differ.
@@ -93,7 +93,7 @@ class FiniteSliding:
         centres = {i: np.array(m.about if m else np.zeros(3)) for i, m in self._motion.items()}
         self._centre = self._of_points(centres)
         self._arm = self._points.x[self.rows] - self._centre
-        self._committed_time = 0.0
+        self._committed_load_time = 0.0
         self.jump_at_committed_pairing: Floats | None = None
         self.set_time(0.0)
 
@@ -102,12 +102,12 @@ class FiniteSliding:
         shape = values[self._interfaces[0]].shape
         return np.array([values[i] for i in self.interface_of_point]).reshape(-1, *shape)
 
-    def set_time(self, time: float) -> None:
+    def set_time(self, load_time: float) -> None:
         """Set rotations to a time of loads, and those since that of the last committed step."""
-        self._time = time
+        self._load_time = load_time
         rotations, committed_rotations = (
             {i: self._scene.rotation(m, t) for i, m in self._motion.items()}
-            for t in (time, self._committed_time)
+            for t in (load_time, self._committed_load_time)
         )
         self.rotation = self._of_points(rotations)
         self.step_rotation = self._of_points(
@@ -116,8 +116,8 @@ class FiniteSliding:
 
     def commit(self) -> None:
         """Commit the current pairs and rotations."""
-        self._committed_time = self._time
-        self.set_time(self._time)
+        self._committed_load_time = self._load_time
+        self.set_time(self._load_time)
         self.jump_at_committed_pairing = self.jump_at_pairing
 
     def find_pairs(self, jump: Floats) -> Paired:

@@ -151,10 +151,10 @@ class Followers:
         """Local numbers of owned nodes that follow others."""
         return self._owned(self.follower_dofs)
 
-    def set_time(self, time: float) -> None:
-        """Set the rotations to a time."""
+    def set_time(self, load_time: float) -> None:
+        """Set the rotations to a time of the loads."""
         for m in self._scene.driven:
-            rotation, rotation_before = self._scene.rotation(m, time), self.rotations[m.name]
+            rotation, rotation_before = self._scene.rotation(m, load_time), self.rotations[m.name]
             self.changed |= not np.array_equal(rotation, rotation_before)
             self.rotations[m.name] = rotation
 

@@ -31,7 +31,7 @@ from app.mechanics.contact_state import ContactState, LocalPoints
 from app.mechanics.debonded_contact import Debonding, debonded_contact
 from app.mechanics.point_forces import OUTPUTS, PointForces
 from app.mechanics.prescribed_slip import Inputs, LawAtPoints, Outputs
-from app.mechanics.switches import Switches, constrain, open_points, tresca_response
+from app.mechanics.switches import Switches, open_points, stick_points, tresca_response
 from app.numerics import pointwise
 from app.numerics.pointwise import Pointwise
 from app.system.timing import Timing
@@ -80,10 +80,10 @@ class PointLaws:
         unscaled_augmentation: Augmentation by the keys of the case, before `scale_augmentation`
             (n,) [MPa/mm].
         augmentation: Augmentation r, the stiffness of the trial force (n,) [MPa/mm].
-        compliance: Compliance C of the elastic layer in series (n, 3, 3) [mm/MPa]; 0 without one.
-        layer_share: (1 + k C)^-1: stiffness of the layer over the sum of its and the bodies'
+        compliance: Compliance c of the elastic layer in series (n, 3, 3) [mm/MPa]; 0 without one.
+        layer_share: (1 + k c)^-1: stiffness of the layer over the sum of its and the bodies'
             (n, 3, 3) [-].
-        multiplier_share: 1 - r C: factor of the equilibrium force in the multiplier (n, 3, 3) [-].
+        multiplier_share: 1 - r c: factor of the equilibrium force in the multiplier (n, 3, 3) [-].
     """
 
     def __init__(self, comm: MPI.Comm, points: LocalPoints, timing: Timing) -> None:
@@ -239,7 +239,7 @@ class PointLaws:
         """Evaluate the laws at a trial state.
 
         Args:
-            multiplier: Multiplier F (n, 3) [MPa].
+            multiplier: Multiplier λ (n, 3) [MPa].
             jump: Jump (n, 3) [mm].
             initial_gap: Vectors of the initial gap (n, 3) [mm].
             state: Last converged state.
@@ -262,8 +262,9 @@ class PointLaws:
             inputs_at_rows = {k: v[rows] for k, v in (inputs | committed).items()}
             law_at_rows = self._law_at(group.kernel, rows, state.friction[rows])
             response = law_at_rows(inputs_at_rows)
-            if switches.tresca_force is not None and law.is_contact and law.largest_friction > 0:
-                excess = switches.tresca_force[rows] - trial_force[rows]
+            given = switches.tresca_trial_force
+            if given is not None and law.is_contact and law.largest_friction > 0:
+                excess = given[rows] - trial_force[rows]
                 response = tresca_response(
                     law_at_rows, inputs_at_rows, response, points.normals[rows], excess
                 )
@@ -282,11 +283,11 @@ class PointLaws:
                 self._add_debonded_contact(
                     group, group.debonded_kernel, inputs, state, switches, forces
                 )
-        if switches.constrained.any():
+        if switches.stuck.any():
             all_faces = np.ones((len(points), 3), dtype=bool)
             tangential_jump_old = points.tangential(state.jump, all_faces)
             sticking_force = multiplier + r[:, None] * (jump + initial_gap - tangential_jump_old)
-            constrain(forces, points, switches.constrained, sticking_force)
+            stick_points(forces, points, switches.stuck, sticking_force)
         # Opened points keep tractions of laws other than contact.
         opened = switches.opened & self.law_is_contact
         if opened.any():
@@ -309,7 +310,10 @@ class PointLaws:
             return kernel.named(numbers, **inputs)
 
         H, M = self._points.prescribed_tangents[rows], self.multiplier_share[rows]
-        return partial(prescribed_slip.respond, compiled, H=H, M=M, last_friction=last_friction)
+        μ = self._constants["μ"][rows] if "μ" in self._constants else 0.0
+        return partial(
+            prescribed_slip.respond, compiled, H=H, M=M, last_friction=last_friction, μ=μ
+        )
 
     def _add_debonded_contact(
         self,
@@ -365,7 +369,7 @@ def _compile_law(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwis
 
     def build(x: dict[str, Expr]) -> dict[str, Expr]:
         point = AtPoint(
-            F=x["multiplier"],
+            λ=x["multiplier"],
             jump=x["jump"],
             initial_gap=x["initial_gap"],
             jump_old=x["jump_old"],

@@ -3,9 +3,10 @@ r"""Contact force along jumps that supports prescribe, as functions of arrays.
 Along a prescribed jump, equilibrium contains the support reaction. The interface force F_h there
 follows from the law P alone:
 
-.. math:: F_h = H P(F + M F_h),
+.. math:: F_h = H P(λ + M F_h),
 
-with H the projector on the prescribed directions and M the share of the multiplier. Where the jump
+with λ the multiplier without F_h, H the projector on the prescribed directions and M the share of
+the multiplier. Where the jump
 changes in the step, `respond` solves for F_h at each point. Where the jump is at rest, F_h is the
 friction of the last converged state.
 
@@ -38,8 +39,10 @@ SLIP_ROUNDING = 1e-13
 REST_TOLERANCE = 1e-11
 # The force along a prescribed jump has converged within this fraction of the trial force.
 FORCE_TOLERANCE = 1e-12
-# First ratio of the upper bound of that force to the trial force [-]: larger than any known μ.
-UPPER_BOUND = 1e3
+# Upper bound of that force over the trial force [-]: the larger of `LEAST_BOUND` and `BOUND_BY_μ`
+# times μ. At an edge the pressures of the faces together may exceed the trial force.
+LEAST_BOUND = 1e3
+BOUND_BY_μ = 10.0
 
 # Inputs and outputs of a law at n points, by name: (n, ...).
 Inputs = Mapping[str, Floats]
@@ -91,7 +94,12 @@ class PrescribedSlip:
 
 
 def respond(
-    law: LawAtPoints, inputs: Inputs, H: Floats, M: Floats, last_friction: Floats
+    law: LawAtPoints,
+    inputs: Inputs,
+    H: Floats,
+    M: Floats,
+    last_friction: Floats,
+    μ: Floats | float = 0.0,
 ) -> Outputs:
     """Return the outputs of a law, with its force along prescribed tangential jumps.
 
@@ -102,6 +110,7 @@ def respond(
         H: Projectors on the prescribed tangential directions (n, 3, 3).
         M: Share of the multiplier in the trial force (n, 3, 3) [-].
         last_friction: Friction in the last converged state (n, 3) [MPa].
+        μ: Friction coefficients (n,) [-], for the upper bound of F_h.
 
     Returns:
         Outputs of the law. ``by_multiplier`` is the total derivative, with the change of F_h.
@@ -111,9 +120,11 @@ def respond(
     slip = PrescribedSlip.of(inputs, H, last_friction)
     is_sliding, direction = slip.is_sliding, slip.direction
     n = len(is_sliding)
-    lower, upper = np.zeros(n), UPPER_BOUND * slip.scale
+    bound = np.maximum(LEAST_BOUND, BOUND_BY_μ * μ)
+    lower, upper = np.zeros(n), bound * slip.scale
     size, last_residual = upper.copy(), np.full(n, np.inf)
-    tolerance = FORCE_TOLERANCE * slip.scale
+    # Rounding grows with the bound.
+    tolerance = FORCE_TOLERANCE * slip.scale * (bound / LEAST_BOUND)
 
     def response_to(size: Floats) -> Outputs:
         """Return the outputs of the law for a size of F_h (n,) [MPa]."""
@@ -126,9 +137,9 @@ def respond(
         # A traction that depends on the jump alone.
         return response
     while True:
-        P_F = response["by_multiplier"]
+        P_λ = response["by_multiplier"]
         residual = np.einsum("pi,pi->p", direction, response["force"]) - size
-        slope = 1 - np.einsum("pi,pij,pjk,pk->p", direction, P_F, M, direction)
+        slope = 1 - np.einsum("pi,pij,pjk,pk->p", direction, P_λ, M, direction)
         # A point that has converged stays: rounding could move it from slip to stick.
         is_unfinished = is_sliding & (np.abs(residual) > tolerance)
         is_unfinished &= upper - lower > tolerance
@@ -144,7 +155,7 @@ def respond(
         np.copyto(size, new_size, where=is_unfinished)
         last_residual = np.abs(residual)
         response = response_to(size)
-    # Implicit derivative of F_h by the multiplier F.
+    # Implicit derivative of F_h by the multiplier.
     factor = np.divide(1.0, slope, out=np.zeros(n), where=is_sliding & (slope != 0))
-    F_h_by_F = np.einsum("p,pi,pk,pkj->pij", factor, direction, direction, P_F)
-    return response | {"by_multiplier": P_F + P_F @ M @ F_h_by_F}
+    F_h_by_λ = np.einsum("p,pi,pk,pkj->pij", factor, direction, direction, P_λ)
+    return response | {"by_multiplier": P_λ + P_λ @ M @ F_h_by_λ}

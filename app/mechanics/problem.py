@@ -16,7 +16,7 @@ with
   stress history of regions that set or creep (`update_stiffness`, `StressHistory`).
 - e: the equilibrium of the contact points (`JumpCoupling.equilibrium`); W their areas.
 - F: the forces of contact and other laws at equilibrium and jumps (`ContactInterfaces.trial`, by
-  `PointLaws.evaluate` from `InterfaceLaw.response`). See `mechanics.contact` for F = P(-e/W + r G).
+  `PointLaws.evaluate` from `InterfaceLaw.response`). `mechanics.contact` has the law F = P(S).
 - In rows that supports prescribe, r_u is the deviation from their values (`Stiffness.prescribed`).
 
 `mechanics.systems` adds the Jacobian. Heat changes f alone; the

@@ -151,7 +151,7 @@ class SlidingBodies:
         constraints = self._stiffness.constraints
         rigid_motion = constraints.rigid_motion_along(f)
         direction = constraints.expand(rigid_motion).array_r.reshape(-1, 3)[self._points.nodes]
-        gap = contact.gaps.at_pairing[rows]
+        gap = contact.gaps.gap_at_pairing[rows]
         closing_speed = np.einsum("pi,pi->p", contact.local.normals[rows, 0], direction)
         is_closing = closing_speed > FACING_COSINE * np.linalg.norm(direction, axis=1)
         nearest = float(np.min(gap[is_closing] / closing_speed[is_closing], initial=np.inf))

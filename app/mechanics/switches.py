@@ -1,6 +1,6 @@
 """Changes of the interface laws that remedies of Newton's method make for a while.
 
-`numerics.remedies` asks `mechanics.contact_remedies` for a change and ends it. The changes are one
+`numerics.remedies` makes and ends changes by `mechanics.contact_remedies`. The changes are one
 value, `Switches`, that `PointLaws.evaluate` takes. The laws themselves keep no trace.
 
 Remedies also scale the augmentation (`PointLaws.scale_augmentation`). It is no switch, because it
@@ -27,23 +27,24 @@ class Switches:
     Attributes:
         freezes_variables: True while internal variables keep the values of the last converged
             state.
-        constrained: Mask of points that are forced to stick (n,).
+        stuck: Mask of points that are forced to stick (n,).
         opened: Mask of points whose contact is switched off (n,). Laws other than contact keep
             their forces.
-        tresca_force: Trial forces (n, 3) whose pressures limit friction [MPa]. The problem is then
-            that of Tresca. None: the pressures of the state limit friction, as in Coulomb's law.
+        tresca_trial_force: Given trial forces (n, 3) whose pressures limit friction [MPa]. The
+            problem is then that of Tresca. None: the pressures of the state limit friction, as in
+            Coulomb's law.
     """
 
     freezes_variables: bool
-    constrained: Bools
+    stuck: Bools
     opened: Bools
-    tresca_force: Floats | None
+    tresca_trial_force: Floats | None
 
     @classmethod
     def off(cls, n: int) -> Switches:
         """Return no changes at n points."""
         none = np.zeros(n, dtype=bool)
-        return cls(freezes_variables=False, constrained=none, opened=none, tresca_force=None)
+        return cls(freezes_variables=False, stuck=none, opened=none, tresca_trial_force=None)
 
 
 def tresca_response(
@@ -57,7 +58,7 @@ def tresca_response(
             ``r`` (n,) [MPa/mm].
         response: Outputs of the law under the pressures of the state.
         normals: Normals of the faces, zero beyond their number (n, 3, 3).
-        excess: Stored trial force minus that of the state (n, 3) [MPa].
+        excess: Given trial force minus that of the state (n, 3) [MPa].
 
     Returns:
         Outputs of the law: normal force of the state, friction under the given pressures.
@@ -83,22 +84,22 @@ def tresca_response(
     }
 
 
-def constrain(
-    point_forces: PointForces, points: LocalPoints, constrained: Bools, trial_force: Floats
+def stick_points(
+    point_forces: PointForces, points: LocalPoints, stuck: Bools, trial_force: Floats
 ) -> None:
-    """Replace the response of constrained points by stick, in place.
+    """Replace the response of points by stick, in place.
 
     Args:
         point_forces: Response of the laws.
         points: The points.
-        constrained: Mask of the constrained points (n,).
+        stuck: Mask of the points that are forced to stick (n,).
         trial_force: Trial force for stick on all faces (n, 3) [MPa].
     """
     by_jump = point_forces.augmentation[:, None, None] * np.eye(3)
-    point_forces.force[constrained] = points.project_free(trial_force)[constrained]
-    point_forces.by_multiplier[constrained] = np.eye(3)
-    point_forces.by_jump[constrained] = by_jump[constrained]
-    point_forces.status[constrained] = STICK
+    point_forces.force[stuck] = points.project_free(trial_force)[stuck]
+    point_forces.by_multiplier[stuck] = np.eye(3)
+    point_forces.by_jump[stuck] = by_jump[stuck]
+    point_forces.status[stuck] = STICK
 
 
 def open_points(point_forces: PointForces, opened: Bools) -> None:

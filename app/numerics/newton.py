@@ -67,8 +67,8 @@ LAST_TOLERANCE = 0.2
 # this fraction of itself in a number of iterations. While fewer and fewer points change, the
 # residual may stay before it falls (stance with cells of 4 mm: six iterations).
 STALLED_RATIO = 0.5
-# The number of iterations, by line search.
-STALLED_ITERATIONS = {"bt": 4}
+# The number of iterations with backtracking.
+STALLED_BACKTRACKS = 4
 # The number with full steps, with which the residual may rise before it falls.
 STALLED_FULL_STEPS = 15
 # Residuals that differ by less than this part after a cycle of the states repeat.
@@ -407,7 +407,7 @@ class Solver:
     def _has_stalled(self, iteration: int) -> bool:
         """Return True if more iterations like the last ones do not help."""
         residuals, changes = self.residuals, self.changes
-        window = STALLED_ITERATIONS.get(self._line_search, STALLED_FULL_STEPS)
+        window = STALLED_BACKTRACKS if self._line_search == "bt" else STALLED_FULL_STEPS
         if iteration >= window:
             stays = residuals[-1] > STALLED_RATIO * residuals[-1 - window]
             if stays and changes[-1] >= STALLED_RATIO * changes[-1 - window]:

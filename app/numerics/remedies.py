@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
 
 from petsc4py import PETSc
 
@@ -21,7 +22,8 @@ log = logging.getLogger("mantle")
 AUGMENTATIONS = ((0.1, True), (0.01, True), None, (100.0, False), (0.1, False), (0.01, False), None)
 # Factors of the default augmentation, tried last if the case sets another one.
 DEFAULT_FACTORS = (1.0, 0.1, 0.01)
-# Shares by which given pressures follow those of the state, in the order of trial. In
+# Shares by which given pressures follow those of the state, in the order of trial. A smaller share
+# serves pressures that do not settle; after a solve that fails no further share is tried. In
 # `stress/stem.yaml`, where the critical friction coefficient is 1.4, a coefficient of 10 needs
 # shares down to 0.25, and one of 1000 the smallest.
 SHARES = (0.5, 0.25, 0.125, 0.0625, 0.03, 0.015)
@@ -42,12 +44,11 @@ def solve(solver: Solver) -> NewtonResult:
         contact.laws.scale_augmentation(solver.augmentation)
     runs: list[tuple[int, int]] = []
     start = solver.x.copy() if contact else solver.x
-    if contact and contact.remedies.freeze():
-        try:
-            runs.append(solver.run())
-        finally:
-            contact.remedies.unfreeze()
-        if not solver.converged:
+    if contact:
+        with contact.remedies.freezing() as has_variables:
+            if has_variables:
+                runs.append(solver.run())
+        if has_variables and not solver.converged:
             start.copy(solver.x)
     runs.append(solver.run())
     solver.x.copy(solver.first_state)
@@ -69,7 +70,6 @@ def solve(solver: Solver) -> NewtonResult:
         runs.append(iterations)
     if solver.converged and solver.system.settle(solver.blocks()):
         runs.append(solver.run())
-    solver.use_search(solver.usual_search)
     if solver.converged:
         solver.linear.sweep_interfaces()
         measures = solver.measure(solver.x, solver.snes.getFunction()[0])
@@ -136,23 +136,19 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
     """
     contact = solver.system.contact
     if contact:
-        closed = "constraining open interfaces of bodies that nothing else holds"
         yield from _with_switched_interfaces(
             solver,
             start,
-            contact.remedies.constrain,
-            contact.remedies.release,
-            closed,
+            contact.remedies.constraining(),
+            "constraining open interfaces of bodies that nothing else holds",
             "releasing these interfaces",
         )
-        overlap = "closing interfaces where the open bodies overlap"
         yield from _with_switched_interfaces(
             solver,
             start,
-            contact.remedies.open,
-            contact.remedies.allow_closing,
+            contact.remedies.opening(),
             "opening all interfaces",
-            overlap,
+            "closing interfaces where the open bodies overlap",
         )
     if not solver.converged and solver.linear.factor_interfaces():
         start.copy(solver.x)
@@ -195,8 +191,7 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
 def _with_switched_interfaces(
     solver: Solver,
     start: PETSc.Vec,
-    switch: Callable[[], bool],
-    switch_back: Callable[[], None],
+    switched: AbstractContextManager[bool],
     switched_remedy: str,
     usual_remedy: str,
 ) -> Iterator[str]:
@@ -205,18 +200,17 @@ def _with_switched_interfaces(
     Args:
         solver: The solver. If a body has run away, its state is the start again.
         start: The state from which to start.
-        switch: Constrains or opens interfaces; returns True if there are any.
-        switch_back: Ends that.
+        switched: Context in which interfaces are constrained or opened, if there are any.
         switched_remedy: Name of the remedy with switched interfaces.
         usual_remedy: Name of the remedy after that.
     """
-    if solver.converged or not switch():
+    if solver.converged:
         return
-    start.copy(solver.x)
-    try:
+    with switched as has_switched:
+        if not has_switched:
+            return
+        start.copy(solver.x)
         yield switched_remedy
-    finally:
-        switch_back()
     if solver.system.runs_away(solver.blocks()):
         start.copy(solver.x)
     else:
@@ -230,15 +224,13 @@ def _with_tresca_friction(
 
     Where a solve under given pressures does not converge, the state is that before the remedy.
     """
-    if not contact.remedies.begin_tresca_friction():
-        return
     before = solver.x.copy()
-    start.copy(solver.x)
-    try:
+    with contact.remedies.tresca_friction() as has_friction:
+        if not has_friction:
+            return
+        start.copy(solver.x)
         yield "limiting friction by given pressures, which follow those of the state"
         yield from _following_pressures(solver, contact)
-    finally:
-        contact.remedies.end_tresca_friction()
     if solver.converged:
         yield "limiting friction by the pressures of the state"
     else:
@@ -250,7 +242,7 @@ def _following_pressures(solver: Solver, contact: SolvedContact) -> Iterator[str
     for share in SHARES:
         least, updates = math.inf, 0
         while updates < MOST_UPDATES and solver.converged:
-            solver.residual(solver.x)
+            solver.residual(solver.x)  # sets the last trial forces
             difference = contact.remedies.relax_tresca_friction(share)
             if difference < SAME_PRESSURES:
                 return

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -63,35 +64,24 @@ class ContactLaw(Protocol):
 class LawRemedies(Protocol):
     """Interface between the nonlinear solver and what it changes in the laws for a while.
 
-    `app.mechanics.contact_remedies.ContactRemedies` implements it, and says more.
+    `app.mechanics.contact_remedies.ContactRemedies` implements it, and says more. A change lasts as
+    long as its context. The value of the context is False if there is nothing to change.
     """
 
-    def constrain(self) -> bool:
+    def constraining(self) -> AbstractContextManager[bool]:
         """Constrain interfaces that have to close to hold a body; collective."""
 
-    def release(self) -> None:
-        """Release constrained interfaces."""
-
-    def open(self) -> bool:
+    def opening(self) -> AbstractContextManager[bool]:
         """Open all interfaces that can open; collective."""
 
-    def allow_closing(self) -> None:
-        """Let opened interfaces close."""
+    def freezing(self) -> AbstractContextManager[bool]:
+        """Freeze the internal variables."""
 
-    def freeze(self) -> bool:
-        """Freeze the internal variables; return True if there are any."""
-
-    def unfreeze(self) -> None:
-        """Let the internal variables change."""
-
-    def begin_tresca_friction(self) -> bool:
+    def tresca_friction(self) -> AbstractContextManager[bool]:
         """Limit friction by given pressures, zero at first; collective."""
 
     def relax_tresca_friction(self, share: float) -> float:
         """Move the given pressures by a share towards those of the last evaluation; collective."""
-
-    def end_tresca_friction(self) -> None:
-        """Limit friction by the pressures of the state."""
 
 
 class SolvedContact(Protocol):

@@ -17,7 +17,7 @@ import numpy as np
 
 from app.foundation.errors import InputError
 from app.foundation.files import files_at
-from app.foundation.layout import shortened_list, times_text
+from app.foundation.layout import product_text, shortened_list
 from app.patient.voxels import Voxels
 
 STEP_TOLERANCE = 0.1  # largest distance of a slice from its even place, as a part of the step
@@ -292,8 +292,8 @@ def check_equal(path: Path, slices: Sequence[Any]) -> None:
             ]
             odd_value = next(value for value in values if value != usual_value)
             fault = (
-                f"{_names(odd_names)} has {times_text(odd_value)} {quantity}, the"
-                f" other slices {times_text(usual_value)}"
+                f"{_names(odd_names)} has {product_text(odd_value)} {quantity}, the"
+                f" other slices {product_text(usual_value)}"
             )
             raise InputError(f"{path}: {fault}; leave it out")
 

@@ -25,14 +25,10 @@ ASH_SLOPE = 0.877
 ASH_OFFSET = 0.0789
 # Part of the apparent density that is ash [-].
 ASH_PART = 0.6
-# No bone is stiffer [MPa].
-STIFFEST = 40e3
-# The densest bone of a femur is stiffer [MPa].
-SOFTEST = 500.0
-# The median of a cortex is below this [MPa].
-STIFF_CORTEX = 25e3
-# Least plausible one: also that of a femur with a thin cortex.
-SOFT_CORTEX = 1e3
+# Bounds of the modulus at the 99.9th percentile of the CT numbers [MPa].
+MODULUS_RANGE = (500.0, 40e3)
+# Bounds of the median modulus of a cortex [MPa]; a thin cortex has a low one.
+CORTEX_RANGE = (1e3, 25e3)
 AIR_NUMBER = -200.0  # CT number: air and lung are below it
 REPORTED_DENSITIES = (0.3, 0.6, 1.0)  # g/cm3 for which moduli are reported
 SAME_AXES = 0.5  # deg up to which the axes of CT and labels are the same
@@ -80,13 +76,14 @@ class ImageModulus(ModulusField):
         self.__dict__["sha256"] = image.sha256
         if not self.modulus_of(-1e9) > 0.0:
             fail(f"gives no positive modulus at {LEAST_DENSITY} g/cm3", at=("law",))
-        if not SOFTEST < self.largest < STIFFEST:
+        softest, stiffest = MODULUS_RANGE
+        if not softest < self.largest < stiffest:
             number = image.percentile_99_9
             fault = (
                 f"the largest CT number, {number:g}, gives E = {two_digits(self.largest / 1e3)} GPa"
             )
             fault += (
-                f"; expected {SOFTEST / 1e3:g} to {STIFFEST / 1e3:g} GPa. Is the unit wrong, or"
+                f"; expected {softest / 1e3:g} to {stiffest / 1e3:g} GPa. Is the unit wrong, or"
             )
             fail(f"{fault} does the image show metal or labels?", at=("calibration", "slope"))
         return self
@@ -186,14 +183,15 @@ class ImageModulus(ModulusField):
                 )
         median = float(np.median(self.below_surface(patient)))
         doubt = f"{name}: the median of E {SURFACE_DEPTH:g} mm below the bone's surface is"
-        if median < SOFT_CORTEX:
+        softest, stiffest = CORTEX_RANGE
+        if median < softest:
             notes.append(
                 f"{doubt} {two_digits(median / 1e3)} GPa; expected more than"
-                f" {SOFT_CORTEX / 1e3:g} GPa. Is the CT mirrored or moved against the bone, or is"
+                f" {softest / 1e3:g} GPa. Is the CT mirrored or moved against the bone, or is"
                 " the calibration wrong?"
             )
-        if median > STIFF_CORTEX:
-            expected = f"expected less than {STIFF_CORTEX / 1e3:g} GPa"
+        if median > stiffest:
+            expected = f"expected less than {stiffest / 1e3:g} GPa"
             notes.append(
                 f"{doubt} {median / 1e3:.1f} GPa; {expected}. Was 1024 added to its CT numbers,"
                 " or is the calibration that of another scanner?"

@@ -21,7 +21,7 @@ from scipy import ndimage
 from app.foundation.arrays import Bools, Floats
 from app.foundation.errors import InputError
 from app.foundation.files import files_at
-from app.foundation.layout import times_text
+from app.foundation.layout import product_text
 from app.patient import dicom_segmentation, dicom_series, nrrd
 from app.patient.foreign_formats import WRAPPED, ForeignFormats, foreign_format, vtk_formats
 from app.patient.voxels import LabelSegment, Voxels
@@ -199,7 +199,7 @@ def _read(path: Path, _modification_time: int) -> Image:
     layered = values.ndim == 4 and voxels.segments is not None
     _check_values(path, values, layered)
     edge_lengths = _check_affine(path, affine)
-    lattice, spacing = (times_text(row, digits=4) for row in (values.shape[:3], edge_lengths))
+    lattice, spacing = (product_text(row, digits=4) for row in (values.shape[:3], edge_lengths))
     layers = f" in {values.shape[3]} layers" if layered else ""
     description = f"{voxels.kind}: {lattice} voxels of {spacing} mm{layers}, {values.dtype}"
     summary = (description, *voxels.left_out)
@@ -240,7 +240,7 @@ def _check_affine(path: Path, affine: Floats) -> Floats:
     edge_lengths = np.linalg.norm(affine[:3, :3], axis=0)
     if not (np.isfinite(edge_lengths).all() and edge_lengths.all()):
         raise InputError(
-            f"{path}: the spacing of its voxels is {times_text(edge_lengths, digits=4)}"
+            f"{path}: the spacing of its voxels is {product_text(edge_lengths, digits=4)}"
             " mm; expected above 0"
         )
     directions = affine[:3, :3] / edge_lengths
@@ -354,8 +354,8 @@ def _nifti(path: Path) -> Voxels:
         sizes = np.abs(np.asarray(header["pixdim"][1:4], float))
         if not np.allclose(edges, sizes, rtol=SIZE_TOLERANCE):
             raise InputError(
-                f"{path}: its voxels have {times_text(edges, digits=4)} mm by sform but"
-                f" {times_text(sizes, digits=4)} mm by pixdim;"
+                f"{path}: its voxels have {product_text(edges, digits=4)} mm by sform but"
+                f" {product_text(sizes, digits=4)} mm by pixdim;"
                 " correct the header, or write the image again"
             )
         if qform:

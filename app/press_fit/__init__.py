@@ -2,7 +2,7 @@
 
 `after_insertion` records pressure and strain of the bone at the end of the insertion, `findings`
 has the faults and verdicts. Importing the package registers it. The core has what a press fit is:
-the interference (`laws.interface_laws`) and the motion since it (`ContactState.inserted`).
+the interference (`laws.interface_laws`) and the motion since it (`ContactState.jump_at_insertion`).
 """
 
 from __future__ import annotations
@@ -11,10 +11,8 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from app.case.case import Case
+from app.case.error_classes import MOTION_ERRORS, STRESS_ERRORS, TRACTION_ERRORS
 from app.case.quantities import (
-    ORDER_OF_MOTION,
-    ORDER_OF_STRESS,
-    ORDER_OF_TRACTION,
     Quantity,
     add_quantity,
 )
@@ -28,7 +26,7 @@ if TYPE_CHECKING:
 def _after_insertion(case: Case, followed: RecordedModel) -> AfterInsertion | None:
     """The record of a run, or None if nothing in its case is pressed in; collective."""
     contact = followed.problem.contact
-    if contact is None or not contact.gaps.insertion_time > 0.5:  # stages end at whole times
+    if contact is None or not contact.gaps.end_of_insertion > 0.5:  # stages end at whole times
         return None
     from app.press_fit.after_insertion import AfterInsertion  # starts MPI
 
@@ -43,14 +41,14 @@ add_quantity(
         "insertion_pressure_mean",
         "MPa",
         label="pressure after the insertion, mean",
-        order=ORDER_OF_TRACTION,
+        error_class=TRACTION_ERRORS,
         on_page=True,
     ),
     _interface(
         "insertion_pressure_p95",
         "MPa",
         label="pressure after the insertion, p95",
-        order=ORDER_OF_TRACTION,
+        error_class=TRACTION_ERRORS,
         on_page=True,
     ),
     _interface(
@@ -66,7 +64,7 @@ add_quantity(
         "um",
         1,
         label="gap after the insertion, mean",
-        order=ORDER_OF_MOTION,
+        error_class=MOTION_ERRORS,
     ),
     _interface(
         "insertion_gap_p95",
@@ -74,7 +72,7 @@ add_quantity(
         "um",
         1,
         label="gap after the insertion, p95",
-        order=ORDER_OF_MOTION,
+        error_class=MOTION_ERRORS,
     ),
     _interface(
         "insertion_open_fraction",
@@ -89,7 +87,7 @@ add_quantity(
         "um/m",
         0,
         label="hoop strain after the insertion, p99",
-        order=ORDER_OF_STRESS,
+        error_class=STRESS_ERRORS,
         on_page=True,
     ),
     _region(
@@ -107,7 +105,7 @@ add_quantity(
         "um/m",
         0,
         label="compressive strain after the insertion, p99",
-        order=ORDER_OF_STRESS,
+        error_class=STRESS_ERRORS,
         on_page=True,
     ),
 )

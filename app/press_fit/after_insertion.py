@@ -23,15 +23,15 @@ OF_INTERFACE = (
 
 def _of_insertion(numbers: Numbers) -> Numbers:
     """Numbers of an interface and its zones, under their names after the insertion."""
-    inserted: Numbers = {f"insertion_{key}": numbers[key] for key in OF_INTERFACE}
+    renamed: Numbers = {f"insertion_{key}": numbers[key] for key in OF_INTERFACE}
     zones = {name: _of_insertion(zone) for name, zone in numbers.get("zones", {}).items()}
-    return inserted | ({"zones": zones} if zones else {})
+    return renamed | ({"zones": zones} if zones else {})
 
 
 class AfterInsertion(Record):
     """Numbers of interfaces and bone when the interference has grown."""
 
-    saved = ("inserted",)
+    saved = ("numbers_at_insertion",)
 
     def __init__(self, case: Case, followed: RecordedModel) -> None:
         self._followed = followed
@@ -39,7 +39,7 @@ class AfterInsertion(Record):
         elastic = {e.region for e in problem.scene.elastic}
         elastic -= problem.body_forms.path_dependent_regions
         self._bone = sorted(elastic.intersection(case.of_tissue("bone")))
-        self.inserted: Summary = {}
+        self.numbers_at_insertion: Summary = {}
 
     def before(self, on_step: OnStep) -> OnStep:
         """Return a hook of steps that keeps the numbers of the last step of the insertion."""
@@ -47,16 +47,19 @@ class AfterInsertion(Record):
         def step(accepted: LoadStep, trial: TrialState | None) -> None:
             contact = self._followed.problem.contact
             assert contact is not None
-            at_end = abs(accepted.time - contact.gaps.insertion_time) < 1e-6
+            at_end = abs(accepted.time - contact.gaps.end_of_insertion) < 1e-6
             if at_end and trial is not None:
-                self.inserted = {"interfaces": self._interfaces(trial), "regions": self._strains()}
+                self.numbers_at_insertion = {
+                    "interfaces": self._interfaces(trial),
+                    "regions": self._strains(),
+                }
             on_step(accepted, trial)
 
         return step
 
     def numbers(self) -> Summary:
         """Pressures and gaps of interfaces, strains of bone."""
-        return self.inserted
+        return self.numbers_at_insertion
 
     def _interfaces(self, trial: TrialState) -> dict[str, Numbers]:
         """Pressures and gaps of the press fits after a step; collective."""

@@ -6,20 +6,20 @@ A number X of a run on a mesh of size h has the estimated error
 
 where :math:`X_{2h}` is the number of a companion on a mesh of size 2 h, and C / n the error of n
 steps, see below. The median m of :math:`e_1 / (a |X_h|)` is taken over the numbers of a group
-(`CLASS_OF_MEDIAN`). The term with m is needed because two meshes may agree by chance.
+(`ErrorClass.median_group`). The term with m is needed because two meshes may agree by chance.
 Numbers of parts (rim, tip, neck, surface zones, Gruen zones) change more from mesh to mesh than
 those of whole interfaces: they use a separate median and a separate factor b. For a Gruen zone,
 :math:`|X_h|` is at least a quarter of the mean over all zones. For temperatures b is zero. If there
 is a companion of size 3 h, their error is the larger of its scaled change and
-:math:`|X_h - X_{2h}|`, each times its factor in `FACTORS_OF_TWO_MESHES`.
+:math:`|X_h - X_{2h}|`, each times its factor (`ErrorClass.two_mesh_factors`).
 
-The factors a and b of each class were fitted to six hips and to scenes with heat. They were tested
-on other cases (docs/verification.md). Slips and tractions of press fits have larger errors, and at
-first order motions and stresses too; their factors were fitted to three such hips. A number outside
-these classes has the factor a of Richardson's extrapolation, :math:`1 / (2^p - 1)` with its order
-of convergence p, and no b. With that factor the true error exceeds the estimate more often, because
-contact begins and ends inside cells. The change to a companion of another mesh size is scaled to
-2 h by the order of convergence in `case.quantities`.
+The factors a and b of each class are in `case.error_classes`. They were fitted to six hips and to
+scenes with heat, and tested on other cases (docs/verification.md). Slips and tractions of press
+fits have larger errors, and at first order motions and stresses too; their factors were fitted to
+three such hips. A number outside these classes has the factor a of Richardson's extrapolation,
+:math:`1 / (2^p - 1)` with its order of convergence p, and no b. With that factor the true error
+exceeds the estimate more often, because contact begins and ends inside cells. The change to a
+companion of another mesh size is scaled to 2 h by the order of convergence of the class.
 
 Numbers that are zero do not enter medians. A number is zero if it is rounding compared with the
 largest number of its unit. It is also zero if it is small compared with that number and changes by
@@ -41,24 +41,13 @@ from typing import cast
 import numpy as np
 
 from app.case.case import Case
-from app.case.quantities import (
-    ADDED,
-    ORDER_OF_DOSE,
-    ORDER_OF_HEAT,
-    ORDER_OF_MOTION,
-    ORDER_OF_RISK,
-    ORDER_OF_SLIP,
-    ORDER_OF_STRESS,
-    ORDER_OF_TRACTION,
-    TABLE,
-    Quantity,
-    numbers_of,
-)
+from app.case.error_classes import STRESS_ERRORS, ErrorClass
+from app.case.quantities import ADDED, TABLE, Quantity, numbers_of
 from app.case.summary import Numbers, Summary
 from app.foundation.arrays import Floats
 
-# Mesh size over that of the run: of the companion for the error of the mesh, and of the companions
-# for the error of the step.
+# Mesh sizes of companions over that of the run [-]: the first for the error of the mesh, the second
+# for that of the steps and, with temperatures, of the mesh too.
 COARSENINGS = (2.0, 3.0)
 # Power of the error of all time steps with which the tolerance of one step scales.
 TOLERANCE_POWER = {"sdirk4": 1.0, "backward_euler": 2.0}
@@ -73,43 +62,8 @@ ROUNDING_OF_NUMBERS = 1e-6
 SMALL_FRACTION = 0.01
 # Smallest mesh size over that of the run with which a mesh is compared [-].
 LEAST_COARSENING = 1.25
-# Factors a and b at first and at second order, by the orders of convergence of a class.
-ERROR_FACTORS = {
-    ORDER_OF_MOTION: ((2.8, 6.0), (0.7, 0.8)),
-    ORDER_OF_SLIP: ((3.6, 7.0), (0.35, 1.75)),
-    ORDER_OF_TRACTION: ((2.0, 1.4), (0.6, 1.05)),
-    ORDER_OF_STRESS: ((3.8, 3.0), (1.8, 0.2)),
-    ORDER_OF_RISK: ((3.8, 3.0), (1.8, 0.2)),
-    ORDER_OF_HEAT: ((3.0, 0.0), (3.0, 0.0)),
-    ORDER_OF_DOSE: ((5.0, 1.5), (5.0, 1.5)),
-}
-# Factors on the changes to two coarser meshes, the finer one first, of classes that use both.
-FACTORS_OF_TWO_MESHES = {ORDER_OF_HEAT: (1.75, 1.25)}
-# Factor b of numbers of parts, fitted to four hips (docs/verification.md).
-FACTOR_OF_PARTS = {
-    ORDER_OF_MOTION: (3.5, 1.75),
-    ORDER_OF_SLIP: (6.0, 3.25),
-    ORDER_OF_TRACTION: (3.0, 2.5),
-    ORDER_OF_STRESS: (2.5, 0.5),
-    ORDER_OF_RISK: (2.5, 0.5),
-    ORDER_OF_HEAT: (0.0, 0.0),
-    ORDER_OF_DOSE: (5.0, 1.5),
-}
-# Factors on the errors of press fits, at first and second order (docs/verification.md).
-FACTOR_OF_PRESS_FITS = {
-    ORDER_OF_MOTION: (1.6, 1.0),
-    ORDER_OF_SLIP: (1.2, 3.5),
-    ORDER_OF_TRACTION: (6.0, 2.5),
-    ORDER_OF_STRESS: (1.3, 1.0),
-}
 # Size of a number of a Gruen zone over the mean of all zones, at least.
 LEAST_OF_MEAN = 0.25
-# Classes that share their median change.
-CLASS_OF_MEDIAN = {
-    ORDER_OF_SLIP: ORDER_OF_MOTION,
-    ORDER_OF_TRACTION: ORDER_OF_MOTION,
-    ORDER_OF_STRESS: ORDER_OF_MOTION,
-}
 # Share of the numbers of a hip whose true error is below the estimate, at first and second order.
 SHARE_WITHIN_ERROR = (0.92, 0.91)
 # Sections whose errors are raised to the typical error of their group.
@@ -127,22 +81,19 @@ class Companion:
 
     Attributes:
         coarsening: Mesh size of the companion over that of the run [-].
-        steps: Increments of the companion over those of the run [-]. For time steps, the factor on
-            their error is the inverse.
+        step_ratio: Increments of the companion over those of the run [-]. For time steps, the
+            factor on their error is the inverse.
     """
 
     case: Case
     coarsening: float
-    steps: float
+    step_ratio: float
 
     def __str__(self) -> str:
         """Mesh and steps of the companion, in words."""
-        fewer = f", {self.steps:g} times the steps" if self.steps != 1 else ""
+        fewer = f", {self.step_ratio:g} times the steps" if self.step_ratio != 1 else ""
         size = f"{self.case.mesh.size:g} mm" if self.case.mesh.size else "of the file"
         return f"mesh {size}{fewer}"
-
-
-Orders = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -152,7 +103,7 @@ class Estimated:
     Attributes:
         errors: Table with the error.
         key: Key of the error in it.
-        orders: Orders of convergence of the number at first and second order.
+        error_class: Class of the number.
         size: Size of the number.
         of_part: True for a number of a part.
         in_median: True if the change of the number counts in the median.
@@ -160,21 +111,20 @@ class Estimated:
 
     errors: Numbers
     key: str
-    orders: Orders
+    error_class: ErrorClass
     size: float
     of_part: bool
     in_median: bool = True
 
     def change(self, degree_index: int) -> float:
         """Relative change to the companion [-]."""
-        return float(self.errors[self.key]) / (
-            ERROR_FACTORS[self.orders][degree_index][0] * self.size
-        )
+        factor = self.error_class.change_factor(degree_index)
+        return float(self.errors[self.key]) / (factor * self.size)
 
     @property
-    def group(self) -> tuple[bool, Orders]:
-        """Parts or not, and class: numbers of a group have one median."""
-        return self.of_part, CLASS_OF_MEDIAN.get(self.orders, self.orders)
+    def group(self) -> tuple[bool, str]:
+        """Parts or not, and group of its class: numbers of a group have one median."""
+        return self.of_part, self.error_class.median_group
 
 
 # Companions with their sections, and with numbers of one owner.
@@ -213,12 +163,12 @@ class _Solution:
 
     Attributes:
         coarsening: Mesh size over that of the run [-].
-        steps: Steps over those of the run [-].
+        step_ratio: Steps over those of the run [-].
         value: The number.
     """
 
     coarsening: float
-    steps: float
+    step_ratio: float
     value: Floats
 
 
@@ -292,15 +242,14 @@ def add_error_estimates(run: Summary, case: Case, solved: Solved) -> dict[str, l
     degree_index = case.mesh.order - 1
     tables = _tables_with_companions(run, solved)
     for table in tables:
-        orders = {q.key: q.order for q in table.quantities if q.order}
-        _add_errors(table.numbers, orders, degree_index, table.others)
+        classes = {q.key: q.error_class for q in table.quantities if q.error_class}
+        _add_errors(table.numbers, classes, degree_index, table.others)
     estimated_numbers = _estimated_numbers(run, tables, degree_index)
     estimated_numbers += _zone_errors(run, degree_index, solved)
     _raise_to_typical_errors(estimated_numbers, degree_index)
     if any(law.is_press_fit for law in case.interfaces.values()):
         for number in estimated_numbers:
-            factors = FACTOR_OF_PRESS_FITS.get(number.orders, (1.0, 1.0))
-            number.errors[number.key] *= factors[degree_index]
+            number.errors[number.key] *= number.error_class.press_fit_factors[degree_index]
     return _unsettled_peaks(run, tables, case)
 
 
@@ -334,12 +283,14 @@ def _estimated_numbers(
             continue
         for q in table.quantities:
             error, value = table.numbers.get(f"{q.key}_error"), table.numbers[q.key]
-            if error is None or q.vector or q.order not in ERROR_FACTORS or not value:
+            if error is None or q.vector or not value:
+                continue
+            if q.error_class is None or q.error_class.change_factors is None:
                 continue
             estimated = Estimated(
                 table.numbers,
                 f"{q.key}_error",
-                q.order,
+                q.error_class,
                 abs(value),
                 of_part=table.of_part,
                 in_median=table.section != OUTSIDE_MEDIAN,
@@ -403,17 +354,13 @@ def _raise_to_typical_errors(estimated_numbers: Sequence[Estimated], degree_inde
         estimated_numbers: The errors.
         degree_index: Polynomial order of the displacement less one.
     """
-    changes: dict[tuple[bool, Orders], list[float]] = {}
+    changes: dict[tuple[bool, str], list[float]] = {}
     for number in estimated_numbers:
         if number.in_median:
             changes.setdefault(number.group, []).append(number.change(degree_index))
     typical = {group: float(np.median(of_group)) for group, of_group in changes.items()}
     for number in estimated_numbers:
-        factor = (
-            FACTOR_OF_PARTS[number.orders][degree_index]
-            if number.of_part
-            else ERROR_FACTORS[number.orders][degree_index][1]
-        )
+        factor = number.error_class.median_factor(degree_index, number.of_part)
         smallest_error = factor * typical[number.group] * number.size
         number.errors[number.key] = max(number.errors[number.key], smallest_error)
 
@@ -464,26 +411,26 @@ def _zone_errors(run: Summary, degree_index: int, solved: Solved) -> list[Estima
             for companion, companion_summary in solved
         ]
         for name, at_interface in numbers["interfaces"].items():
-            orders = {
-                q.key: q.order
+            classes = {
+                q.key: q.error_class
                 for q in TABLE["interfaces"].values()
-                if q.order and q.key.endswith("_mean") and q.key in at_interface
+                if q.error_class and q.key.endswith("_mean") and q.key in at_interface
             }
             numbers_of_companions = [
                 (companion, companion_summary.get("interfaces", {}).get(name, {}))
                 for companion, companion_summary in companion_numbers
             ]
-            _add_errors(at_interface, orders, degree_index, numbers_of_companions)
+            _add_errors(at_interface, classes, degree_index, numbers_of_companions)
             in_zones = [z["interfaces"].get(name, {}) for z in zones.values()]
             estimated_numbers += [
                 Estimated(
                     at_interface,
                     f"{key}_error",
-                    orders[key],
+                    classes[key],
                     _size_in_zones(at_interface[key], key, in_zones),
                     of_part=True,
                 )
-                for key in orders
+                for key in classes
                 if f"{key}_error" in at_interface
             ]
         density = numbers["strain_energy_density"]
@@ -492,7 +439,7 @@ def _zone_errors(run: Summary, degree_index: int, solved: Solved) -> list[Estima
             for companion, companion_summary in companion_numbers
         ]
         errors = {
-            region: _error(region, ORDER_OF_STRESS, degree_index, density, numbers_of_companions)
+            region: _error(region, STRESS_ERRORS, degree_index, density, numbers_of_companions)
             for region in density
         }
         known_errors = {
@@ -505,7 +452,7 @@ def _zone_errors(run: Summary, degree_index: int, solved: Solved) -> list[Estima
             Estimated(
                 known_errors,
                 region,
-                ORDER_OF_STRESS,
+                STRESS_ERRORS,
                 _size_in_zones(density[region], region, in_zones),
                 of_part=True,
             )
@@ -521,11 +468,15 @@ def _size_in_zones(value: float, key: str, in_zones: Sequence[Numbers]) -> float
 
 
 def _add_errors(
-    numbers: Numbers, orders: Mapping[str, Orders], degree_index: int, companion_numbers: Others
+    numbers: Numbers,
+    classes: Mapping[str, ErrorClass],
+    degree_index: int,
+    companion_numbers: Others,
 ) -> None:
-    """Add errors to the numbers with these orders of convergence."""
+    """Add errors to the numbers with these keys and classes."""
     errors = {
-        key: _error(key, p, degree_index, numbers, companion_numbers) for key, p in orders.items()
+        key: _error(key, error_class, degree_index, numbers, companion_numbers)
+        for key, error_class in classes.items()
     }
     numbers |= {f"{key}_error": error for key, error in errors.items() if error is not None}
 
@@ -539,7 +490,7 @@ def _values_on_meshes(
     """
     values = {case.mesh.size: run[key]}
     for companion, companion_values in sorted(
-        companion_numbers, key=lambda entry: -abs(entry[0].steps - 1)
+        companion_numbers, key=lambda entry: -abs(entry[0].step_ratio - 1)
     ):
         if companion.coarsening > LEAST_COARSENING and companion_values.get(key) is not None:
             values[companion.case.mesh.size] = companion_values[key]
@@ -547,12 +498,12 @@ def _values_on_meshes(
 
 
 def _error(
-    key: str, orders: Orders, degree_index: int, run: Numbers, companion_numbers: Others
+    key: str, error_class: ErrorClass, degree_index: int, run: Numbers, companion_numbers: Others
 ) -> ErrorValue | None:
     """Error of one number or vector by the equations above; None if it is unknown."""
     of_run = _Solution(1.0, 1.0, np.asarray(run[key]))
     of_companions = [
-        _Solution(companion.coarsening, companion.steps, np.asarray(numbers[key]))
+        _Solution(companion.coarsening, companion.step_ratio, np.asarray(numbers[key]))
         for companion, numbers in companion_numbers
         if numbers.get(key) is not None
     ]
@@ -563,21 +514,23 @@ def _error(
     on_mesh_of_last = [
         s
         for s in (of_run, *of_companions[:-1])
-        if s.coarsening == last.coarsening and s.steps != last.steps
+        if s.coarsening == last.coarsening and s.step_ratio != last.step_ratio
     ]
     step_error = np.zeros(last.value.shape)
     if on_mesh_of_last:
         other = on_mesh_of_last[0]
-        step_error += (other.value - last.value) / (1 / other.steps - 1 / last.steps)
+        step_error += (other.value - last.value) / (1 / other.step_ratio - 1 / last.step_ratio)
     # If C / n is known, a companion with more steps than the run has no further use.
     on_coarser_meshes = [
         s
         for s in of_companions
-        if s.coarsening > LEAST_COARSENING and (s.steps <= 1 or not on_mesh_of_last)
+        if s.coarsening > LEAST_COARSENING and (s.step_ratio <= 1 or not on_mesh_of_last)
     ]
     error = np.abs(step_error)
     if on_coarser_meshes:
-        error = _mesh_error(of_run, on_coarser_meshes, step_error, orders, degree_index) + error
+        error = (
+            _mesh_error(of_run, on_coarser_meshes, step_error, error_class, degree_index) + error
+        )
     return cast(ErrorValue, np.asarray(error).tolist())
 
 
@@ -585,7 +538,7 @@ def _mesh_error(
     of_run: _Solution,
     on_coarser_meshes: Sequence[_Solution],
     step_error: Floats,
-    orders: Orders,
+    error_class: ErrorClass,
     degree_index: int,
 ) -> Floats:
     """Error of the mesh.
@@ -594,21 +547,19 @@ def _mesh_error(
         of_run: The number of the run.
         on_coarser_meshes: The number of the companions on coarser meshes, one or more.
         step_error: C / n, the error of the steps of the run.
-        orders: Orders of convergence at first and second order.
+        error_class: Class of the number.
         degree_index: Polynomial order of the displacement less one.
     """
-    order = orders[degree_index]
+    order = error_class.orders[degree_index]
 
     def change(other: _Solution) -> Floats:
         """Return the change to another mesh without the effect of its steps, scaled to 2 h."""
-        without_steps = other.value - step_error * (1 / other.steps - 1)
+        without_steps = other.value - step_error * (1 / other.step_ratio - 1)
         return abs(of_run.value - without_steps) * (2**order - 1) / (other.coarsening**order - 1)
 
     finest = min(on_coarser_meshes, key=lambda s: s.coarsening)
     coarsest = max(on_coarser_meshes, key=lambda s: s.coarsening)
-    if orders in FACTORS_OF_TWO_MESHES and coarsest.coarsening > finest.coarsening:
-        finest_factor, coarsest_factor = FACTORS_OF_TWO_MESHES[orders]
+    if error_class.two_mesh_factors and coarsest.coarsening > finest.coarsening:
+        finest_factor, coarsest_factor = error_class.two_mesh_factors
         return np.maximum(finest_factor * change(finest), coarsest_factor * change(coarsest))
-    if orders in ERROR_FACTORS:
-        return ERROR_FACTORS[orders][degree_index][0] * change(finest)
-    return 1 / (2**order - 1) * change(finest)
+    return error_class.change_factor(degree_index) * change(finest)

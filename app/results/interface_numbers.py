@@ -240,7 +240,9 @@ class ContactSamples:
             "shear": self.shear,
         }
         if any(c.press_fit for c in interfaces):
-            self.micromotion = signs[corners.interface][:, None] * motion_since(state.inserted)
+            self.micromotion = signs[corners.interface][:, None] * motion_since(
+                state.jump_at_insertion
+            )
             self.sizes["micromotion"] = np.linalg.norm(self.micromotion, axis=1)
         if since is not None:
             self.sizes["inducible"] = np.linalg.norm(motion_since(since), axis=1)

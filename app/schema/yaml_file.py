@@ -45,7 +45,7 @@ TOO_MANY = "too many or too deeply nested values (an alias inside itself?)"
 PLAIN_TAGS = frozenset({"tag:yaml.org,2002:map", "tag:yaml.org,2002:seq"})
 # A message that begins with a key.
 KEYED = re.compile(r"([A-Za-z_][\w-]*(?:\.[\w-]+|\[\d+\])*): (.*)", re.DOTALL)
-# Faults of a syntax that beginners meet: a part of the parser's words, and ours.
+# Faults of a syntax that beginners meet: part of the parser's message -> the text in its place.
 FAULTS = {
     "\\t": "a tab; indent with spaces, two for each level",
     "mapping values are not allowed": "no key can stand here; keys of one section begin in one "
@@ -77,7 +77,7 @@ class Fault:
         place: Place, if it differs from that of the path; "" if the text names it.
         remedy: Allowed values or the remedy, if the text does not say it.
         code: Reason, for programs.
-        section: Section beside the key to which it belongs, if it is known.
+        section: Section beside an unknown key in which the key is valid; empty if there is none.
     """
 
     path: Path

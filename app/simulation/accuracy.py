@@ -5,7 +5,7 @@ share its meshes and matrices.
 
 For ``output.accuracy`` the mesh and order are chosen. The errors of cheap runs of both orders are
 estimated. On cells of size h the error of a number is taken as :math:`e(h_0) (h / h_0)^p`, with the
-order p of its class (`case.quantities`).
+order p of its class (`case.error_classes`).
 """
 
 from __future__ import annotations
@@ -17,12 +17,13 @@ from collections.abc import Callable, Sequence
 from mpi4py import MPI
 
 from app.case.case import Case
+from app.case.error_classes import ByOrder
 from app.case.quantities import label_and_unit, main_numbers
 from app.case.summary import EstimatedErrors, Summary
 from app.foundation.errors import ConvergenceError, StoppedError
 from app.foundation.layout import duration, percent
 from app.results import error_estimate
-from app.results.error_estimate import Companion, Orders, is_zero, largest_of_units, reference_size
+from app.results.error_estimate import Companion, is_zero, largest_of_units, reference_size
 from app.simulation.model import Model
 from app.soundness import cost, memory
 from app.system.timing import Timing
@@ -169,10 +170,10 @@ def _on_mesh(case: Case, size: float, order: int) -> Case:
     return case.model_copy(update={"mesh": mesh, "output": output})
 
 
-def relative_errors(summary: Summary) -> list[tuple[float, str, Orders]]:
+def relative_errors(summary: Summary) -> list[tuple[float, str, ByOrder]]:
     """Relative error, name and orders of each headline number of the interfaces."""
     largest = largest_of_units(summary)
-    errors: list[tuple[float, str, Orders]] = []
+    errors: list[tuple[float, str, ByOrder]] = []
     for name, q, value, error in main_numbers(summary):
         if q.section != "interfaces" or not q.order or error is None:
             continue

@@ -1,9 +1,8 @@
 """Bodies on a mesh, before solving: pieces that move together, and bodies that nothing holds.
 
 `well_posedness.check_on_mesh` refuses a case with `verdicts_on_held_bodies`. The pieces of the
-mesh are joined to bodies.
-Each support removes the directions that it holds from the rigid motions of its body. A motion that
-is left, and that contact with no other body resists, is free.
+mesh are joined to bodies. A rigid motion is free if no support of its body holds it, and no contact
+with another body would resist it even if it were bonded.
 
 Facets of a mesh may hide a floating body. `app.soundness.floating_bodies_of_state` detects such
 bodies on the contact points of a state, after solving.
@@ -103,25 +102,25 @@ def gaps_of(case: Case, parts: MeshPieces) -> dict[str, Floats]:
 
 def verdicts_on_held_bodies(case: Case, parts: MeshPieces) -> list[Verdict]:
     """Errors on bodies that nothing holds; if there are none, notes on those barely held."""
-    bodies = BodiesOnMesh(case, parts)
-    return bodies.errors_of_floating() or bodies.notes_on_loosely_held()
+    groups = GroupsOnMesh(case, parts)
+    return groups.errors_of_floating() or groups.notes_on_loosely_held()
 
 
-class BodiesOnMesh:
+class GroupsOnMesh:
     """Rigid motions of groups of pieces that supports leave, and their resistance by contact."""
 
     def __init__(self, case: Case, parts: MeshPieces) -> None:
         self._case, self._parts, self._groups = case, parts, pieces_of_groups(case, parts)
-        self._group_of_part = {p: n for n, group in enumerate(self._groups) for p in group}
+        self._group_of_piece = {p: n for n, group in enumerate(self._groups) for p in group}
         self._origin = parts.x.mean(axis=0)
         self._size = float(np.linalg.norm(np.ptp(parts.x, axis=0)))
         self._laws: Mapping[str, InterfaceLaw] = case.interfaces
-        # Touching pieces: name of the interface, and its two bodies.
+        # Touching pieces: name of the interface, and the two groups.
         self._touches: list[tuple[Touch, str, int, int]] = []
         for touch in parts.touches:
-            body_a, body_b = (self._group_of_part[piece] for piece in touch.pieces)
+            group_a, group_b = (self._group_of_piece[piece] for piece in touch.pieces)
             interface = law_between(case, parts, touch.pieces)[0]
-            self._touches.append((touch, interface, body_a, body_b))
+            self._touches.append((touch, interface, group_a, group_b))
 
     def errors_of_floating(self) -> list[Verdict]:
         """Errors for motions that nothing would resist if all touching bodies were bonded."""
@@ -189,19 +188,19 @@ class BodiesOnMesh:
                 continue
             previous_supports, resistance = active_supports, np.zeros((n, 6, 6))
             for s in active_supports:
-                for piece, nodes in self._parts.boundaries.get(s.boundary, {}).items():
+                for number, nodes in self._parts.boundaries.get(s.boundary, {}).items():
                     modes = self._modes(self._parts.x[nodes])
                     rows = (directions(s, self._parts, nodes) @ modes).reshape(-1, 6)
-                    resistance[self._group_of_part[piece]] += rows.T @ rows
+                    resistance[self._group_of_piece[number]] += rows.T @ rows
             for m in self._case.motions.values():
                 rotations = np.eye(6)[3:]
                 guided_rotations = rotations.T @ rotations
                 if m.translation == "held":
                     shifts = self._modes(np.array([m.about]))[0]
                     guided_rotations = guided_rotations + shifts.T @ shifts
-                for i, part in enumerate(self._parts.pieces):
-                    if part.region == m.region:
-                        resistance[self._group_of_part[i]] += guided_rotations
+                for number, piece in enumerate(self._parts.pieces):
+                    if piece.region == m.region:
+                        resistance[self._group_of_piece[number]] += guided_rotations
             values, vectors = np.linalg.eigh(resistance)
             is_free = values <= FREE_RESISTANCE * np.maximum(values[:, -1:], np.finfo(float).tiny)
             free_vectors = [np.kron(np.eye(n)[:, [b]], vectors[b][:, is_free[b]]) for b in range(n)]
@@ -292,7 +291,7 @@ class BodiesOnMesh:
         )
 
     def _name(self, group: list[Piece]) -> str:
-        """Regions of a body, and its place if it is only part of them."""
+        """Regions of a group, and its place if it is only part of them."""
         region_names = list(dict.fromkeys(p.region for p in group))
         body_name = f"'{' + '.join(region_names)}'"
         if sum(p.region in region_names for p in self._parts.pieces) == len(group):

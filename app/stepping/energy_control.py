@@ -84,11 +84,13 @@ def start_beyond_onset(
         Fraction of the path at that state, or None if no damage is possible; collective.
     """
     contact, start = problem.contact, solver.x.copy()
-    if contact is None or not contact.remedies.freeze():
+    if contact is None:
         return None
-    set_load(path[1])
-    solver.run()
-    contact.remedies.unfreeze()
+    with contact.remedies.freezing() as has_variables:
+        if not has_variables:
+            return None
+        set_load(path[1])
+        solver.run()
     end = solver.x.copy()
 
     def move_to(fraction: float) -> float:

@@ -44,6 +44,19 @@ def test_former_keys_of_an_option_and_a_library_are_read(tmp_path: Path) -> None
     assert [note.where for note in loaded.file.notes] == ["courses", "loads.hip.course"]
 
 
+def test_former_keys_before_the_last_key_of_an_option_are_read(tmp_path: Path) -> None:
+    """Both layers have one note on the former key, as in a file."""
+    case = tmp_path / "case.yaml"
+    case.write_text("base: blocks\n")
+    keys = {f"interfaces.bone_cement.compliance.{k}": "9 MPa/mm" for k in ("normal", "tangential")}
+    loaded = mantle.load(case, **keys)
+    assert loaded.config.interfaces["bone_cement"].layer == (9.0, 9.0)
+    assert [str(note) for note in loaded.file.notes] == [
+        "note: interfaces.bone_cement.compliance: the key 'compliance' has a new name; "
+        "use elastic_layer"
+    ]
+
+
 def test_former_keys_beside_present_ones_are_refused(tmp_path: Path) -> None:
     case = tmp_path / "case.yaml"
     case.write_text(HEAD + "loads: {hip: {course: a, cycle_table: b}}\n")

@@ -16,7 +16,8 @@ from tests.cases.outside import CASE, run
 EXTENSION = '''
 import numpy as np
 from mpi4py import MPI
-from app.case.quantities import ORDER_OF_STRESS, Quantity, add_quantity
+from app.case.error_classes import STRESS_ERRORS
+from app.case.quantities import Quantity, add_quantity
 
 
 def area_over(level):
@@ -33,7 +34,7 @@ def strain_energy(stresses, region):
 add_quantity(
     Quantity(
         "interfaces", "area_over_1MPa", "mm^2", digits=1, label="over 1 MPa",
-        order=ORDER_OF_STRESS, step_record=True, compute=area_over(1.0),
+        error_class=STRESS_ERRORS, step_record=True, compute=area_over(1.0),
     ),
     Quantity("interfaces", "area_over_5MPa", "mm^2", compute=area_over(5.0)),
     Quantity("regions", "strain_energy", "N mm", digits=4, compute=strain_energy),

@@ -20,7 +20,7 @@ def test_contact_gaps_openings_are_normal_jump_and_initial_gap_of_the_time() -> 
         contact.set_time(time)
         jump = 0.03 * normals + 0.7 * shift
         np.testing.assert_allclose(contact.gaps.openings(jump)[:, 0], 0.03 + gap, rtol=1e-12)
-        np.testing.assert_allclose(contact.gaps.at_pairing, gap, rtol=1e-12)
+        np.testing.assert_allclose(contact.gaps.gap_at_pairing, gap, rtol=1e-12)
         # The gap vector contains the whole jump, not the normal part alone.
         expected = (0.03 + gap) * normals + 0.7 * shift
         np.testing.assert_allclose(contact.gaps.gap_vector(jump), expected, atol=1e-15)
@@ -46,12 +46,12 @@ def test_contact_gaps_of_a_press_fit_change_until_its_history_is_constant() -> N
         "stages=[{name: first}, {name: second}, {name: third}]",
     )
     gaps, jump = contact.gaps, contact.state.jump
-    assert gaps.insertion_time == pytest.approx(2.0) and not gaps.is_inserting
+    assert gaps.end_of_insertion == pytest.approx(2.0) and not gaps.is_inserting
     for time, is_inserting in ((1.0, True), (2.0, True), (2.5, False)):
         gaps.commit(jump, time)
         assert gaps.is_inserting is is_inserting
     # A gap that is no interference is no press fit.
-    assert contact_of_blocks().gaps.insertion_time == pytest.approx(0.0, abs=1e-8)
+    assert contact_of_blocks().gaps.end_of_insertion == pytest.approx(0.0, abs=1e-8)
 
 
 def test_contact_gaps_follow_a_ball_on_which_points_slide() -> None:
@@ -68,7 +68,7 @@ def test_contact_gaps_follow_a_ball_on_which_points_slide() -> None:
         gaps.set_pairs(jump)
         distance = np.linalg.norm(x + jump, axis=1) - R
         normals = (x + jump) / np.linalg.norm(x + jump, axis=1)[:, None]
-        np.testing.assert_allclose(gaps.at_pairing, distance, atol=1e-9)
+        np.testing.assert_allclose(gaps.gap_at_pairing, distance, atol=1e-9)
         np.testing.assert_allclose(gaps.gap_vector(jump), distance[:, None] * normals, atol=1e-9)
         motion = np.array([0.2, 0.0, -0.1])
         opening = gaps.openings(jump + motion)[:, 0]
@@ -89,4 +89,4 @@ def test_contact_gaps_are_paired_again_if_their_errors_change_pressures() -> Non
     assert not contact.gaps.update_pairs(moved, 1e4 * largest_error * pressures)
     assert contact.gaps.update_pairs(moved, largest_error * pressures)
     distance = np.linalg.norm(contact.local.x + moved, axis=1) - R
-    np.testing.assert_allclose(contact.gaps.at_pairing, distance, atol=1e-9)
+    np.testing.assert_allclose(contact.gaps.gap_at_pairing, distance, atol=1e-9)

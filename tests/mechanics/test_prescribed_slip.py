@@ -87,6 +87,18 @@ def test_prescribed_slip_has_coulomb_friction(directions: int) -> None:
     assert (np.abs(x - expected)[slides] < 3e-12 * scale[slides]).all()
 
 
+@pytest.mark.parametrize("μ", [999.0, 1e3, 5e3, 1e6, 1e9])
+def test_prescribed_slip_has_a_bound_for_any_coefficient(μ: float) -> None:
+    """Friction along a prescribed slip is μ times the pressure, however large μ is."""
+    pressure = np.array([1e-3, 1.0, 50.0])
+    F = np.column_stack([0 * pressure, 0 * pressure, -pressure])
+    jump = np.column_stack([0.1 * pressure, 0 * pressure, 0 * pressure])
+    inputs = inputs_of(F, jump, np.ones(3))
+    H, M, last = tensors(ALONG_X, 3), tensors(np.eye(3), 3), np.zeros((3, 3))
+    out = respond(Coulomb(μ), inputs, H, M, last, μ)
+    np.testing.assert_allclose(out["force"][:, 0], μ * pressure, rtol=1e-12)
+
+
 def test_prescribed_slip_at_rest_has_the_last_friction() -> None:
     """At a point that sticks, the force is that of the last state along the prescribed jump.
 

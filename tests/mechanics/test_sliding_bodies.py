@@ -22,7 +22,7 @@ def test_sliding_bodies_approach_until_points_overlap_slightly() -> None:
     u, q = solver.u_and_q()
     assert q is not None
     problem.set_time(1.0)
-    gap = contact.gaps.at_pairing
+    gap = contact.gaps.gap_at_pairing
     assert (gap > 0).all()
     sliding.approach(problem.f, u, q)
     opening = contact.gaps.openings(q.array.reshape(-1, 3))[:, 0]

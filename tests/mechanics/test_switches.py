@@ -50,13 +50,13 @@ def test_switches_off_is_coulombs_law() -> None:
     np.testing.assert_allclose(out.trial_force, FORCE)
 
 
-def test_switches_constrained_points_stick() -> None:
+def test_switches_stuck_points_stick() -> None:
     """They carry the whole trial force, in tension too, with the stiffness r."""
-    constrained = np.array([True, False, True])
-    out = forces(replace(Switches.off(3), constrained=constrained))
+    stuck = np.array([True, False, True])
+    out = forces(replace(Switches.off(3), stuck=stuck))
     np.testing.assert_allclose(out.force, rows([9, 0, -10], [3, 0, -10], [3, 0, 10]), atol=1e-12)
     assert out.status.tolist() == [STICK, STICK, STICK]
-    np.testing.assert_allclose(out.by_jump[constrained], np.tile(R * np.eye(3), (2, 1, 1)))
+    np.testing.assert_allclose(out.by_jump[stuck], np.tile(R * np.eye(3), (2, 1, 1)))
 
 
 def test_switches_opened_points_have_no_force() -> None:
@@ -72,7 +72,7 @@ def test_switches_tresca_friction_is_limited_by_given_pressures() -> None:
     The pressures are those of the state.
     """
     given = rows([0, 0, -4], [0, 0, -4], [0, 0, 4])
-    out = forces(replace(Switches.off(3), tresca_force=given))
+    out = forces(replace(Switches.off(3), tresca_trial_force=given))
     np.testing.assert_allclose(out.force, rows([2, 0, -10], [2, 0, -10], [0, 0, 0]), atol=1e-12)
     np.testing.assert_allclose(out.pressures[:, 0], [10, 10, 0], atol=1e-12)
     assert out.status.tolist() == [SLIP, SLIP, OPEN]
@@ -81,5 +81,5 @@ def test_switches_tresca_friction_is_limited_by_given_pressures() -> None:
 
 
 def test_switches_tresca_friction_without_pressures_is_none() -> None:
-    out = forces(replace(Switches.off(3), tresca_force=np.zeros((3, 3))))
+    out = forces(replace(Switches.off(3), tresca_trial_force=np.zeros((3, 3))))
     np.testing.assert_allclose(out.force, rows([0, 0, -10], [0, 0, -10], [0, 0, 0]), atol=1e-12)

@@ -24,21 +24,21 @@ def test_remedies_limits_of_friction_are_the_given_ones() -> None:
     problem.set_time(1.0)
     assert solve(solver).converged
     coulomb = solver.x.copy()
-    assert contact.remedies.begin_tresca_friction()
-    solver.residual(solver.x)
-    assert contact.remedies.relax_tresca_friction(1.0) > 0.99
-    solver.run()
+    with contact.remedies.tresca_friction() as has_friction:
+        assert has_friction
+        solver.residual(solver.x)
+        assert contact.remedies.relax_tresca_friction(1.0) > 0.99
+        solver.run()
     assert solver.converged
     coulomb.axpy(-1.0, solver.x)
     assert coulomb.norm() < 1e-9 * solver.x.norm()
-    contact.remedies.begin_tresca_friction()
-    solver.run()
-    assert solver.converged
-    u, q = solver.u_and_q()
-    forces = problem.trial(u, q).forces
+    with contact.remedies.tresca_friction():
+        solver.run()
+        assert solver.converged
+        u, q = solver.u_and_q()
+        forces = problem.trial(u, q).forces
     normal = np.einsum("pk,pki->pi", forces.pressures, contact.local.normals)
     assert np.abs(forces.force + normal).max() < 1e-9 * np.abs(normal).max()
-    contact.remedies.end_tresca_friction()
     assert solve(solver).converged
 
 

@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
-from app.case import quantities
+from app.case import error_classes, quantities
 from app.case.case import Case
+from app.case.error_classes import MOTION_ERRORS, SLIP_ERRORS, STRESS_ERRORS, ErrorClass
 from app.results import error_estimate
 from tests import support
 from tests.cases.blocks import STACK
@@ -31,6 +32,11 @@ output: {error: true}
 
 def case(*overrides: str) -> Case:
     return support.case(STACK, *overrides)
+
+
+def fitted_factors(error_class: ErrorClass, of_part: bool = False) -> tuple[float, float]:
+    """Factors a and b of a class at second order."""
+    return error_class.change_factor(1), error_class.median_factor(1, of_part)
 
 
 def compared(run: dict[str, Any], this: Case, *others: dict[str, Any]) -> dict[str, Any]:
@@ -86,7 +92,7 @@ def test_error_estimate_companions_are_coarser(
     """Companions have mesh sizes, increments, and steps relative to the run."""
     companions = error_estimate.companions(support.case(text, *changes))
     assert [
-        (c.case.mesh.size, c.case.stages[0].increments, c.steps) for c in companions
+        (c.case.mesh.size, c.case.stages[0].increments, c.step_ratio) for c in companions
     ] == expected
     assert all(c.case.mesh.far_size_or_default == 4 * c.case.mesh.size for c in companions)
 
@@ -121,15 +127,15 @@ def test_error_estimate_companions_in_time(method: str, power: int) -> None:
 
 @pytest.mark.parametrize("increments", [1, 8, 9])
 def test_error_estimate_is_exact_for_its_model(increments: int) -> None:
-    p = quantities.ORDER_OF_MOTION[1]
+    p = MOTION_ERRORS.orders[1]
     run, this = numbers(1.0, increments, p), case(f"stages.0.increments={increments}")
     unsettled = modelled(run, this, lambda size, n: numbers(size, n, p))
     q = run["interfaces"]["lower_upper"]
     # The difference from 2 h, and the steps; a single number changes as the median of all.
-    a, _ = error_estimate.ERROR_FACTORS[quantities.ORDER_OF_MOTION][1]
+    a = MOTION_ERRORS.change_factor(1)
     by_mesh, by_step = 0.01 * (2**p - 1), 0.02 / increments
     error = a * by_mesh + by_step
-    a, b = error_estimate.ERROR_FACTORS[quantities.ORDER_OF_SLIP][1]
+    a, b = fitted_factors(SLIP_ERRORS)
     assert q["slip_p99_error"] == pytest.approx(b / a * (a * by_mesh + by_step))
     assert q["force_error"] == pytest.approx([error, 2 * error, 0])
     # The peak changes by 0.2 of 1.2, the gap by far less than any slip.
@@ -205,9 +211,9 @@ def test_error_estimate_raises_accidentally_small_errors() -> None:
     other = {"slip_p99": 2.2, "slip_p95": 1.1, "slip_mean": 0.55, "gap_p99": 4.0}
     run: dict[str, Any] = {"interfaces": {"lower_upper": values}}
     compared(run, this, {"interfaces": {"lower_upper": other}})
-    factor, least = error_estimate.ERROR_FACTORS[quantities.ORDER_OF_SLIP][1]
+    factor, least = fitted_factors(SLIP_ERRORS)
     assert values["slip_p99_error"] == pytest.approx(max(0.2 * factor, 2.0 * 0.1 * least))
-    _, least = error_estimate.ERROR_FACTORS[quantities.ORDER_OF_MOTION][1]
+    _, least = fitted_factors(MOTION_ERRORS)
     assert values["gap_p99_error"] == pytest.approx(4.0 * 0.1 * least)
 
 
@@ -241,6 +247,16 @@ def test_error_estimate_of_press_fits_is_larger(key: str, order: int, factors: l
     assert ratios == pytest.approx(factors)
 
 
+def test_error_estimate_by_an_order_alone_is_richardsons(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A change of 0.3 between h and 2 h at order 2 is an error of 0.3 / (2^2 - 1)."""
+    wear = quantities.Quantity("interfaces", "wear", "mm", order=(1.0, 2.0))
+    monkeypatch.setitem(quantities.TABLE["interfaces"], "wear", wear)
+    this = case("interfaces.lower_upper.friction_coefficient=0")
+    run = {"interfaces": {"lower_upper": {"wear": 1.0, "gap_p99": 1.0}}}
+    compared(run, this, {"interfaces": {"lower_upper": {"wear": 1.3, "gap_p99": 9.0}}})
+    assert run["interfaces"]["lower_upper"]["wear_error"] == pytest.approx(0.1)
+
+
 def test_error_estimate_raises_strains_of_the_cortex() -> None:
     """A strain that is equal on two meshes gets the usual error, without strains in the median."""
     this = case("interfaces.lower_upper.friction_coefficient=0")
@@ -251,7 +267,7 @@ def test_error_estimate_raises_strains_of_the_cortex() -> None:
 
     run = on(1.0, 1e-3)
     compared(run, this, on(1.2, 1.5e-3))
-    a, b = error_estimate.ERROR_FACTORS[quantities.ORDER_OF_STRESS][1]
+    a, b = fitted_factors(STRESS_ERRORS)
     assert run["femur"]["strain_medial_10_error"] == pytest.approx(1e-3 * 0.2 * b)
     assert run["femur"]["strain_lateral_10_error"] == pytest.approx(0.5e-3 * a)
 
@@ -273,19 +289,13 @@ def test_error_estimate_of_gruen_zones() -> None:
     compared(run, this, other)
     first, second = run["gruen"]["1"], run["gruen"]["2"]
     # All change by a tenth, so that this is their median.
-    a, b = (
-        table[quantities.ORDER_OF_MOTION][1]
-        for table in (error_estimate.ERROR_FACTORS, error_estimate.FACTOR_OF_PARTS)
-    )
+    a, b = fitted_factors(MOTION_ERRORS, of_part=True)
     assert first["interfaces"]["a_b"] == pytest.approx(
-        {"gap_mean": 2, "gap_max": 3, "area": 5} | {"gap_mean_error": 0.2 * max(a[0], b)}
+        {"gap_mean": 2, "gap_max": 3, "area": 5} | {"gap_mean_error": 0.2 * max(a, b)}
     )
-    a, b = (
-        table[quantities.ORDER_OF_STRESS][1]
-        for table in (error_estimate.ERROR_FACTORS, error_estimate.FACTOR_OF_PARTS)
-    )
+    a, b = fitted_factors(STRESS_ERRORS, of_part=True)
     errors = first["strain_energy_density_error"]
-    assert errors == pytest.approx({"cortex": 0.4 * max(a[0], b)})
+    assert errors == pytest.approx({"cortex": 0.4 * max(a, b)})
     assert second == zone(1.0)
 
 
@@ -305,7 +315,7 @@ def test_error_estimate_raises_accidentally_small_errors_of_zones() -> None:
 
     run = on(4.0, 4.0, 4.0, 0.0, 8.0, 4.0)
     compared(run, this, on(4.8, 4.8, 4.0, 0.0, 9.6, 4.8) | {"interfaces": {"a_b": {}}})
-    b = error_estimate.FACTOR_OF_PARTS[quantities.ORDER_OF_MOTION][1]
+    _, b = fitted_factors(MOTION_ERRORS, of_part=True)
     errors = [z["interfaces"]["a_b"]["pressure_mean_error"] for z in run["gruen"].values()]
     # The median change is a fifth, and the mean of the zones is 4.
     assert errors[2:4] == pytest.approx([0.2 * b * 4.0, 0.2 * b * 1.0])
@@ -344,8 +354,8 @@ def test_error_estimate_of_heat_follows_temperature() -> None:
     wrong, dose = (
         0.01 * (2**1.5 - 1) * factor + 0.02 / 8
         for factor in (
-            max(error_estimate.FACTORS_OF_TWO_MESHES[quantities.ORDER_OF_HEAT]),
-            error_estimate.ERROR_FACTORS[quantities.ORDER_OF_DOSE][1][0],
+            max(error_classes.TEMPERATURE_ERRORS.two_mesh_factors or ()),
+            error_classes.DOSE_ERRORS.change_factor(1),
         )
     )
     lower = run["thermal"]["regions"]["lower"]
@@ -373,13 +383,13 @@ def test_error_estimate_of_heat_sees_two_meshes_that_agree_by_chance() -> None:
 
     run = hottest(1.0, 8)
     modelled(run, case("stages.0.increments=8"), hottest)
-    factor = error_estimate.FACTORS_OF_TWO_MESHES[quantities.ORDER_OF_HEAT][1]
-    expected = factor * 2.0 * (2**1.5 - 1) / (3**1.5 - 1)
+    factors = error_classes.TEMPERATURE_ERRORS.two_mesh_factors or (0.0, 0.0)
+    expected = factors[1] * 2.0 * (2**1.5 - 1) / (3**1.5 - 1)
     assert run["thermal"]["regions"]["lower"]["temperature_max_error"] == pytest.approx(expected)
     steady = support.case(HEAT, "stages=[{name: cool, steady: true}]")
     run, coarser = ({"thermal": {"regions": {"lower": {"temperature_max": t}}}} for t in (60, 59))
     compared(run, steady, coarser)
-    alone, _ = error_estimate.ERROR_FACTORS[quantities.ORDER_OF_HEAT][1]
+    alone, _ = fitted_factors(error_classes.TEMPERATURE_ERRORS)
     assert run["thermal"]["regions"]["lower"]["temperature_max_error"] == pytest.approx(alone)
 
 
@@ -444,7 +454,7 @@ def test_error_estimate_ignores_zero_numbers() -> None:
     run = on(1.0)
     assert compared(run, this, on(2.0)) == {}
     q = run["interfaces"]["lower_upper"]
-    _, b = error_estimate.ERROR_FACTORS[quantities.ORDER_OF_TRACTION][1]
+    _, b = fitted_factors(error_classes.TRACTION_ERRORS)
     assert q["pressure_p95_error"] == pytest.approx(b * 2e-3, rel=0.01)
     assert q["motion_p99_error"] < 2e-3 * q["motion_p99"]
     # A change of the other kind counts: a slip as large as the motion.
@@ -462,7 +472,7 @@ def test_error_estimate_ignores_zero_temperature_jumps(jump: float) -> None:
         region = {"temperature_max": 50 - 0.01 * size, "temperature_mean": 40 + 0.01 * size}
         return {"thermal": {"regions": {"lower": region}, "interfaces": {"a_b": sides}}}
 
-    run, (a, _) = on(1.0), error_estimate.ERROR_FACTORS[quantities.ORDER_OF_HEAT][1]
+    run, (a, _) = on(1.0), fitted_factors(error_classes.TEMPERATURE_ERRORS)
     compared(run, this, on(2.0))
     sides = run["thermal"]["interfaces"]["a_b"]
     assert sides["temperature_max_first_error"] == pytest.approx(0.01 * a)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from app.case.case import Case, load_case
-from app.case.quantities import ORDER_OF_MOTION
+from app.case.error_classes import MOTION_ERRORS
 from app.cli import main
 from app.foundation.errors import InputError
 from app.simulation import accuracy
@@ -27,7 +27,7 @@ def chosen(*constants: float, walltime: float | None = None) -> tuple[Case, str,
     def solve(case: Case) -> dict[str, Any]:
         solved.append(case)
         order = case.mesh.order - 1
-        error = 0.01 * constants[order] * case.mesh.size ** ORDER_OF_MOTION[order]
+        error = 0.01 * constants[order] * case.mesh.size ** MOTION_ERRORS.orders[order]
         gap = {"gap_p99": 1e-9, "gap_p99_error": 1e-6}
         return {"interfaces": {"a": {"slip_p99": 0.01, "slip_p99_error": error} | gap}}
 
@@ -37,7 +37,7 @@ def chosen(*constants: float, walltime: float | None = None) -> tuple[Case, str,
 def test_accuracy_chooses_the_cheapest_mesh_within_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     for constants, order in (((0.4, 0.1), 2), ((0.05, 0.2), 1)):
         best, reason, solved = chosen(*constants)
-        size = (0.05 / constants[order - 1]) ** (1 / ORDER_OF_MOTION[order - 1])
+        size = (0.05 / constants[order - 1]) ** (1 / MOTION_ERRORS.orders[order - 1])
         assert best.mesh.order == order and size / 1.16 < best.mesh.size <= size
         assert reason.startswith(
             f"chosen for a target of 5 %: {best.mesh.size:g} mm at order {order} ("

@@ -16,7 +16,7 @@ from app.cli import main
 from app.foundation.errors import GeometryError, InputError
 from app.simulation.model import Model
 from app.soundness import preview, well_posedness
-from app.soundness.bodies_on_mesh import BodiesOnMesh, pieces_of_groups
+from app.soundness.bodies_on_mesh import GroupsOnMesh, pieces_of_groups
 from app.system.timing import Timing
 from meshes.data import MeshData
 from tests import support
@@ -153,7 +153,7 @@ def test_well_posedness_refuses_a_floating_body(monkeypatch: pytest.MonkeyPatch)
         well_posedness.check_on_mesh(case, cracked)
     apart, crack = caught.value.messages
     assert apart.startswith("interfaces.bone_metal: no facet between bone and metal; ")
-    error = BodiesOnMesh(case, cracked).errors_of_floating()[0].text
+    error = GroupsOnMesh(case, cracked).errors_of_floating()[0].text
     assert error.startswith(
         "supports: nothing holds body 'metal': it is free to move along x, y, z and to rotate "
         "about x, y, z, by a support"

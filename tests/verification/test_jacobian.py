@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+
 import numpy as np
 import pytest
 
@@ -29,9 +31,10 @@ def test_jacobian_taylor_remainder_is_of_second_order(order: int, law: str, give
     free = ~solved.problem.stiffness.constraints.constrained
     u.array[free] += 1e-5 * rng.standard_normal(int(free.sum()))
     q.array[:] += 1e-5 * rng.standard_normal(q.array.size)
+    changes = ExitStack()
     if given:
         contact = solved.solver.system.contact
-        contact.remedies.begin_tresca_friction()
+        changes.enter_context(contact.remedies.tresca_friction())
         solved.solver.residual(x)
         contact.remedies.relax_tresca_friction(0.8)
     base, moved, linear = (x.duplicate() for _ in range(3))

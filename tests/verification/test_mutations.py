@@ -38,22 +38,22 @@ forms/elasticity.py
     factor_of_the_thermal_strain: return e * Identity(3) -> return e / 3 * Identity(3)
 forms/contact.py
   incline
-    eq65_sign_of_the_augmentation: S = f + r * (d + initial_gap) -> S = f - r * (d + initial_gap)
-    eq65_sign_of_the_multiplier: S = f + r * (d + initial_gap) -> S = r * (d + initial_gap) - f
+    eq65_sign_of_the_augmentation: multiplier + r * (q + i -> multiplier - r * (q + i
+    eq65_sign_of_the_multiplier: multiplier + r * (q + i -> -multiplier + r * (q + i
     eq65_other_half_line: p = [-a for a in -> p = [a for a in
     eq65_disc_not_frozen: _states(S_star, dS, normals, μ) -> _states(S, dS, normals, μ)
-    cone_of_the_multiplier: {S_star: S} -> {S_star: f}
+    cone_of_the_multiplier: {S_star: S} -> {S_star: multiplier}
     cone_without_coefficient: radius = μ * sum(p[1:], p[0]) -> radius = sum(p[1:], p[0])
     cone_of_negative_radius: radius = μ * sum(p[1:], p[0]) -> radius = -μ * sum(p[1:], p[0])
     cone_inside_out: le(inner(S_T, S_T), radius**2) -> ge(inner(S_T, S_T), radius**2)
     cone_projection: 2 * radius * size - radius**2 -> radius * size - radius**2
   lame_plane_strain_5
-    eq65_sign_of_the_gap: S = f + r * (d + initial_gap) -> S = f + r * (d - initial_gap)
+    eq65_sign_of_the_gap: r * (q + initial_gap) -> r * (q - initial_gap)
   wall_penalty
-    eq65_factor_of_the_potential: square - inner(f, f)) / (2 * r) -> square - inner(f, f)) / r
-    eq57_penalty: f = variable(F)\n    d = -> r = 1.01 * r\n    f = variable(F)\n    d =
+    eq65_factor_of_the_potential: multiplier)) / (2 * r) -> multiplier)) / r
+    eq57_penalty: q = variable(jump)\n -> r = 1.01 * r\n    q = variable(jump)\n
   foundation_bar
-    eq65_slip_since_the_last_state: dS = f + r * (d - jump_old) -> dS = f + r * d
+    eq65_slip_since_the_last_state: r * (q - jump_old) -> r * q
 forms/loads.py
   sine_p2
     sign_of_the_body_force: return dot(b, v) -> return -dot(b, v)
