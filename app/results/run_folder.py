@@ -182,12 +182,12 @@ class Writer:
             self.field_steps += 1
 
     def last_fields(self) -> None:
-        """Write the last written step of the fields to a separate file; collective.
+        """Write the last written step of the fields, if any, to a separate file; collective.
 
         Raises:
             StoppedError: The disk is full.
         """
-        if self.fields:
+        if self.fields and self.field_steps:
             _write(self._comm, self.fields.close, "final.vtkhdf")
 
     def add_row(self, row: Mapping[str, float | None]) -> None:
