@@ -14,7 +14,6 @@ from petsc4py import PETSc
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from app.foundation.arrays import Ints
 from app.numerics.compiled import compiled
@@ -138,6 +137,8 @@ class SinglePrecision:
 
 def _blocks_to_store(A: PETSc.Mat) -> tuple[Ints, Ints, NDArray[np.float32]]:
     """Local row, global column and values (n, 3, 3) of blocks; no lower triangle of owned nodes."""
+    from scipy.sparse import csr_array  # imported late: small cases do not need it
+
     begin, end = (row // 3 for row in A.getOwnershipRange())
     start, columns, values = A.getValuesCSR()
     parts = []
