@@ -15,7 +15,7 @@ from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
-from app.case.quantities import printed
+from app.case.number_text import printed
 from app.foundation.arrays import Bools, Ints
 from app.foundation.errors import InputError
 from app.plots import figures
