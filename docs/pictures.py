@@ -18,7 +18,7 @@ from matplotlib.patches import Patch
 from app import extensions  # noqa: F401  (registers keys that cases have)
 from app.campaigns import study, study_picture
 from app.campaigns.runs import Result
-from app.campaigns.study_report import Report
+from app.campaigns.study_results import Report
 from app.case import study as study_file
 from app.case import summary_numbers
 from app.case.case import load_case

@@ -9,11 +9,11 @@ from itertools import chain
 from pathlib import Path
 
 from app import __version__
-from app.campaigns import batch, study_picture, study_report
+from app.campaigns import batch, study_picture, study_results
 from app.campaigns import work_precision as wp
 from app.campaigns.batch import Options
 from app.campaigns.runs import Result
-from app.campaigns.study_report import Measured, Report, StudyRun
+from app.campaigns.study_results import Measured, Report, StudyRun
 from app.case import quantities, summary_numbers
 from app.case import study as study_file
 from app.case.case import Case, PlannedRun
@@ -64,9 +64,9 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
             "overrides": common,
             "cores": options.cores,
         }
-        written_files = study_report.write(report, description, options.folder)
+        written_files = study_results.write(report, description, options.folder)
         written_files += study_picture.draw(report, options.folder)
-    log.info("%s", study_report.table_of_study(report))
+    log.info("%s", study_results.table_of_study(report))
     log.info("%s: written in %s", ", ".join(written_files), options.folder)
     if all(r.exit_code for r in results):
         message = f"every run of the study failed:\n{results[0].message}"

@@ -15,7 +15,7 @@ import pytest
 from app.campaigns import study
 from app.campaigns.batch import Options
 from app.campaigns.runs import Result
-from app.campaigns.study_report import Measured
+from app.campaigns.study_results import Measured
 from app.campaigns.work_precision import NOT_CONVERGING, ReferenceValue
 from app.case import quantities, summary_numbers
 from app.case import study as study_file
