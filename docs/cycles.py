@@ -19,7 +19,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from app.case.quantities import TABLE, in_print, label_with_unit
+from app.case.number_text import in_print
+from app.case.quantities import TABLE, label_with_unit
 from app.results import cycles
 
 PAGE = Path(__file__).resolve().parent / "howto" / "loads.md"

@@ -33,7 +33,8 @@ from app.case.error_classes import (
     TEMPERATURE_ERRORS,
     TRACTION_ERRORS,
 )
-from app.case.quantities import TABLE, numbers_of
+from app.case.quantities import TABLE
+from app.case.summary_numbers import numbers_of
 from app.patient import bone_surface
 from app.results import error_estimate
 from app.results.error_estimate import ROUNDING_OF_NUMBERS, is_zero, largest_of_units

@@ -18,9 +18,9 @@ from matplotlib.patches import Patch
 from app import extensions  # noqa: F401  (registers keys that cases have)
 from app.campaigns import study, study_picture
 from app.campaigns.runs import Result
-from app.campaigns.study_report import Report
-from app.case import quantities
+from app.campaigns.study_results import Report
 from app.case import study as study_file
+from app.case import summary_numbers
 from app.case.case import load_case
 from app.foundation.arrays import Floats, Ints
 from app.plots import figures, sections
@@ -105,7 +105,7 @@ def store(folder: Path) -> None:
     for plan, run in zip(planned, runs, strict=True):
         path = folder / "runs" / Path(run["folder"]).name / "summary.json"
         summary = json.loads(path.read_text(encoding="utf-8"))
-        values = {q: quantities.read(summary, q) for q in wanted.quantities}
+        values = {q: summary_numbers.read(summary, q) for q in wanted.quantities}
         cpu = {phase: time for phase, time in summary["cpu"].items() if phase not in CACHED}
         kept[plan.name] = {q: float(f"{v:.6g}") for q, v in values.items() if v is not None}
         kept[plan.name]["cpu"] = round(sum(cpu.values()), 2)

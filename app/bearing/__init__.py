@@ -16,12 +16,7 @@ from app.bearing import findings as findings  # registers its checks
 from app.bearing import head_cup as head_cup  # registers the geometry
 from app.case.case import Case
 from app.case.error_classes import MOTION_ERRORS, TRACTION_ERRORS
-from app.case.quantities import (
-    InterfaceField,
-    Quantity,
-    add_interface_field,
-    add_quantity,
-)
+from app.case.quantities import InterfaceField, Quantity, add_interface_field, add_quantity
 from app.results.records import RecordedModel, add_record
 from app.scene.scene import mean_exchange
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from app.campaigns.identifiability import KNOWN_RANGE, Identifiability
 from app.campaigns.runs import Result, reason
-from app.case import points, quantities
+from app.case import number_text, points, quantities, summary_numbers
 from app.case.fit import FitProblem
 from app.case.points import short_keys
 from app.foundation import layout
@@ -203,7 +203,7 @@ def fit_run(
         code, message = InputError.exit_code, refusal
         return FitRun(name, fractions, values, array, math.nan, code, message, 0.0, None)
     if result.exit_code == 0:
-        numbers = {n: quantities.read(result.summary, n) for n in number_names}
+        numbers = {n: summary_numbers.read(result.summary, n) for n in number_names}
         text = "is not in summary.json of this case; mantle explain lists the results"
         faults = [Fault(problem.path_of(n), text) for n, v in numbers.items() if v is None]
         problem.file.raise_all(faults)
@@ -370,7 +370,7 @@ def _run_row(problem: FitProblem, run: FitRun, folder: Path) -> FitRow:
 def number_with_unit(name: str, value: float) -> str:
     """Format a number with its unit as printed."""
     q = quantities.quantity_or_fail(name)
-    return f"{q.factor * value:.4g} {quantities.printed(q.shown)}".strip()
+    return f"{q.factor * value:.4g} {number_text.printed(q.shown)}".strip()
 
 
 def line_of_run(problem: FitProblem, run: FitRun) -> str:
@@ -416,7 +416,7 @@ def number_rows(fit_record: FitRecord) -> tuple[list[str], list[list[str]]]:
         def text(value: float | None, digits: int = 4, factor: float = q.factor) -> str:
             return "" if value is None else f"{factor * value:.{digits}g}"
 
-        cells = [name, quantities.printed(q.shown)]
+        cells = [name, number_text.printed(q.shown)]
         if fit_record["aim"] == "targets":
             cells += [text(row["target"]), text(row["uncertainty"], 2), text(row["value"])]
             cells.append(f"{row['deviation']:+.1f}")

@@ -9,12 +9,12 @@ from itertools import chain
 from pathlib import Path
 
 from app import __version__
-from app.campaigns import batch, study_picture, study_report
+from app.campaigns import batch, study_picture, study_results
 from app.campaigns import work_precision as wp
 from app.campaigns.batch import Options
 from app.campaigns.runs import Result
-from app.campaigns.study_report import Measured, Report, StudyRun
-from app.case import quantities
+from app.campaigns.study_results import Measured, Report, StudyRun
+from app.case import quantities, summary_numbers
 from app.case import study as study_file
 from app.case.case import Case, PlannedRun
 from app.case.study import Study
@@ -64,9 +64,9 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
             "overrides": common,
             "cores": options.cores,
         }
-        written_files = study_report.write(report, description, options.folder)
+        written_files = study_results.write(report, description, options.folder)
         written_files += study_picture.draw(report, options.folder)
-    log.info("%s", study_report.table_of_study(report))
+    log.info("%s", study_results.table_of_study(report))
     log.info("%s: written in %s", ", ".join(written_files), options.folder)
     if all(r.exit_code for r in results):
         message = f"every run of the study failed:\n{results[0].message}"
@@ -149,7 +149,7 @@ def _measure(
     reference = _reference(study, name, ladder) if compared else None
     points = []
     for r in curve:
-        value, estimate = (quantities.read(r.result.summary, name, s) for s in ("", "_error"))
+        value, estimate = (summary_numbers.read(r.result.summary, name, s) for s in ("", "_error"))
         point = wp.ErrorPoint(value, estimate, r.result.planned.case.solver.tolerance)
         points.append(wp.compare(point, reference))
     exponents = {}
@@ -167,7 +167,7 @@ def _reference(study: Study, name: str, ladder: Sequence[StudyRun]) -> wp.Refere
     values = study.reference.values
     if values is not None:
         return wp.ReferenceValue(quantities.known_value(name, values[name]), 0.0, None, "given")
-    values_of_runs = [(r, quantities.read(r.result.summary, name)) for r in ladder]
+    values_of_runs = [(r, summary_numbers.read(r.result.summary, name)) for r in ladder]
     known_values = [(r, value) for r, value in values_of_runs if value is not None]
     if known_values and len(ladder) == 1:
         return wp.ReferenceValue(known_values[0][1], 0.0, None, "of one run")

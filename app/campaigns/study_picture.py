@@ -10,9 +10,10 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from app.campaigns.study_report import Measured, Report, exponent_text
+from app.campaigns.study_results import Measured, Report, exponent_text
 from app.campaigns.work_precision import NOT_CONVERGING
-from app.case.quantities import label_and_unit, label_with_unit, with_brackets
+from app.case.number_text import with_brackets
+from app.case.quantities import label_and_unit, label_with_unit
 from app.foundation.layout import percent
 from app.plots import curves, figures, labels
 from app.plots.curves import Line

@@ -9,10 +9,9 @@ that computes the number.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial, reduce
+from functools import partial
 from typing import Any
 
 from app.case.error_classes import (
@@ -26,33 +25,18 @@ from app.case.error_classes import (
     ByOrder,
     ErrorClass,
 )
+from app.case.number_text import (
+    FACTOR_OF_UNIT,
+    NOT_RESOLVED,
+    UNITS,
+    in_print,
+    printed,
+    with_brackets,
+)
 from app.case.summary import TEMPERATURE_LEVELS, Numbers
 from app.schema.section import did_you_mean, fail, show
 from app.schema.units import Dimension, Plain
 
-# Dimension of each unit in summary.json, with its article.
-UNITS = {
-    "mm": "a length",
-    "mm^2": "an area",
-    "mm^3": "a volume",
-    "N": "a force",
-    "MPa": "a stress",
-    "N mm": "an energy",
-    "deg": "an angle",
-    "s": "a time",
-    "degC": "a temperature",
-    "K": "a temperature difference",
-    "W": "a power",
-    "W/m^2": "a heat flux",
-    "W/(m^2 K)": "an entropy production",
-    "min": "a thermal dose",
-    "1/year": "a rate",
-    "1/s": "a rate",
-    "-": "a number",
-}
-# Units of tables in terms of those of summary.json, and as printed.
-FACTOR_OF_UNIT = {"um": 1e3, "%": 100.0, "um/m": 1e6}
-PRINTED = {"um": "µm", "degC": "°C", "deg": "°", "^2": "²", "^3": "³"}
 # Criteria of thermal necrosis of bone.
 NECROSIS = {
     "47C_1min": "47 degC for 1 min",
@@ -61,21 +45,6 @@ NECROSIS = {
     "cem43_240": "CEM43 of 240 min",
     "henriques_moritz": "Henriques-Moritz",
 }
-
-
-def printed(unit: str) -> str:
-    """A unit as printed: µm, °C, mm²; empty for a plain number."""
-    signs = PRINTED.items()
-    return reduce(lambda text, sign: text.replace(*sign), signs, unit.removesuffix("-"))
-
-
-def in_print(text: str) -> str:
-    """Text with the units behind its numbers, or in brackets, as printed."""
-    return re.sub(r"(?:(?<=\d )|(?<=\())(um|degC|deg|mm\^[23])\b", lambda m: printed(m[0]), text)
-
-
-# Mark of a number whose error exceeds it.
-NOT_RESOLVED = " (not resolved)"
 
 
 @dataclass(frozen=True)
@@ -807,11 +776,6 @@ def label_with_unit(name: str) -> str:
     return with_brackets(*label_and_unit(name))
 
 
-def with_brackets(label: str, unit: str) -> str:
-    """A label with its printed unit in brackets; a plain number has none."""
-    return f"{label} ({unit})" if unit else label
-
-
 def known_value(name: str, value: object, difference: bool = False) -> float:
     """A value in a file, in the unit of its quantity; or a difference of two values.
 
@@ -827,58 +791,6 @@ def known_value(name: str, value: object, difference: bool = False) -> float:
     else:
         kind = Dimension(unit, UNITS[unit], f"1 {unit}", unit != "K")
     return float(kind.read(value))
-
-
-def numbers_of(
-    summary: Mapping[str, Any], parts: bool = False
-) -> Iterator[tuple[str, str, Numbers]]:
-    """Yield section, owner and numbers of each table of a summary.
-
-    With ``parts``, rims, tips, necks and surface zones are owners too, such as ``stem_cement_rim``.
-    """
-    for section in TABLE:
-        section_numbers: Any = reduce(
-            lambda part, key: part.get(key, {}), section.split("."), summary
-        )
-        numbers_by_owner: Numbers = (
-            {section: section_numbers} if section in SECTIONS_WITHOUT_OWNER else section_numbers
-        )
-        for name, numbers in numbers_by_owner.items():
-            if numbers:
-                yield section, name, numbers
-            listed_parts = [part for part in PARTS if parts and part in numbers]
-            yield from ((section, f"{name}_{part}", numbers[part]) for part in listed_parts)
-            zones = numbers.get("zones", {}) if parts and section == "interfaces" else {}
-            yield from ((section, f"{name}_{zone}", part) for zone, part in zones.items())
-
-
-def main_numbers(summary: Mapping[str, Any]) -> Iterator[tuple[str, Quantity, Any, float | None]]:
-    """Yield full name, quantity, value and error of each headline of a summary.
-
-    The error is None if it was not estimated.
-    """
-    for section, owner, numbers in numbers_of(summary):
-        for key, q in TABLE[section].items():
-            if q.headline and key in numbers:
-                yield f"{owner}.{key}", q, numbers[key], numbers.get(f"{key}_error")
-
-
-def maximum_with_parts(numbers: Numbers, key: str) -> float:
-    """A maximum of an interface or a region with its parts; 0 if it is missing."""
-    return max(part.get(key, 0.0) for part in (numbers, *(numbers.get(p, {}) for p in PARTS)))
-
-
-def read(summary: Mapping[str, Any], name: str, suffix: str = "") -> float | None:
-    """Number of ``summary.json`` in its unit, by the name of `quantity_of`; None if missing."""
-    owner, _, key = name.partition(".")
-    key, _, axis = key.partition(".")
-    for _, name_of_part, numbers in numbers_of(summary, parts=True):
-        value = numbers.get(key + suffix) if name_of_part == owner else None
-        if axis and isinstance(value, list):
-            value = value["xyz".index(axis)]
-        if isinstance(value, int | float):
-            return float(value)
-    return None
 
 
 def computed(section: str, samples: object, target: object) -> dict[str, float]:

@@ -204,7 +204,7 @@ def _mesh(options: argparse.Namespace) -> int:
             print(painted(f"note: {line}", "doubtful", sys.stderr), file=sys.stderr)
         print(deck)
         return 0
-    from app.plots import sections
+    from app.plots import sections, surface_views
     from app.report import case_picture
 
     draw_case = partial(case_picture.draw, case.config)
@@ -212,11 +212,11 @@ def _mesh(options: argparse.Namespace) -> int:
     if case.config.geometry.mantles or case.config.geometry.laws_to_write:
         for name, draw in (
             ("sections", sections.draw_sections),
-            ("interfaces", sections.interfaces),
+            ("interfaces", surface_views.draw_interfaces),
         ):
             file = path.with_name(f"{path.stem}_{name}.png")
             is_mirrored = case.config.geometry.is_mirrored
-            drawings[file] = partial(draw, title=sections.MIRRORED if is_mirrored else "")
+            drawings[file] = partial(draw, title=surface_views.MIRRORED if is_mirrored else "")
     with writing(path):
         meshes.write_msh(data, path)
         print(path)

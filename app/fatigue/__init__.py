@@ -12,12 +12,7 @@ from typing import TYPE_CHECKING
 
 from app.case.case import Case
 from app.case.error_classes import MOTION_ERRORS, RISK_ERRORS, STRESS_ERRORS
-from app.case.quantities import (
-    NumberSection,
-    Quantity,
-    add_quantity,
-    add_section,
-)
+from app.case.quantities import NumberSection, Quantity, add_quantity, add_section
 from app.fatigue import findings as findings  # registers its checks
 from app.fatigue.laws import (
     Fatigue,

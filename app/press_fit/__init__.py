@@ -12,10 +12,7 @@ from typing import TYPE_CHECKING
 
 from app.case.case import Case
 from app.case.error_classes import MOTION_ERRORS, STRESS_ERRORS, TRACTION_ERRORS
-from app.case.quantities import (
-    Quantity,
-    add_quantity,
-)
+from app.case.quantities import Quantity, add_quantity
 from app.press_fit import findings as findings  # registers its checks
 from app.results.records import RecordedModel, add_record
 

@@ -12,7 +12,8 @@ from collections.abc import Iterable
 from app.case.case import Case
 from app.case.checks import check
 from app.case.hips import ON_CUT
-from app.case.quantities import TABLE, in_print
+from app.case.number_text import in_print
+from app.case.quantities import TABLE
 from app.case.summary import Numbers, Summary
 from app.foundation.verdict import Severity, Verdict, note
 from app.laws.interface_laws import GapKeys, insertion_stages

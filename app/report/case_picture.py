@@ -25,9 +25,9 @@ from app.foundation.arrays import Floats, Ints
 from app.foundation.layout import plain_text
 from app.laws.heat_conditions import HeatCondition
 from app.laws.supports import AnySupport
-from app.plots import figures, sections
+from app.plots import figures, sections, surface_views
 from app.plots.figures import COLOURS, PNG, handles
-from app.plots.sections import AXES
+from app.plots.surface_views import AXES
 from app.soundness import preview
 from meshes.data import (
     MeshData,
@@ -134,7 +134,7 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
     forces = [*_forces(case, data)]
     title = textwrap.wrap(case.title or path.stem, int(LETTERS_PER_INCH * view_width))
     if case.geometry.is_mirrored:
-        title += [sections.MIRRORED]
+        title += [surface_views.MIRRORED]
     is_continued = case.geometry.continued_below is not None
     more_entries = (bool(case.supports), bool(case.heat), bool(forces), is_continued)
     entry_count = max(len(data.regions), len(case.interfaces) + sum(more_entries))
@@ -145,8 +145,8 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
     figure = figures.new(2 * view_width, picture_height)
     figure.set_layout_engine("none")
     outside = exterior_facets(data.cells)
-    for k, name in enumerate(sections.FRONT_AND_SIDE):
-        across, leftward, toward = sections.VIEWS[name]
+    for k, name in enumerate(surface_views.FRONT_AND_SIDE):
+        across, leftward, toward = surface_views.VIEWS[name]
         ax = figure.add_axes((0.5 * k, 0.0, 0.5, 1.0))
         section_at = sections.middle_plane(lowest[toward], highest[toward])
         if case.geometry.is_around_z and lowest[toward] > -1e-6 * size[toward]:
@@ -202,7 +202,7 @@ def _bodies(view: View, data: MeshData, name: str, facets: Ints, cells: Ints) ->
     Args:
         view: The view.
         data: The mesh.
-        name: Side from which the view looks, as in `sections.VIEWS`.
+        name: Side from which the view looks, as in `surface_views.VIEWS`.
         facets: Nodes of the facets of the outside (n, k).
         cells: Cells of these facets (n,).
     """
@@ -212,7 +212,7 @@ def _bodies(view: View, data: MeshData, name: str, facets: Ints, cells: Ints) ->
     pale = 0.5 + 0.5 * np.array([(0, 0, 0), *map(to_rgb, colours.values())])
     x = data.points[facets]
     grey = np.full((len(x), 3), 0.7)
-    sections.draw_surface(view.ax, x, x[:, :3], pale[data.cell_tags[cells]], grey, name)
+    surface_views.draw_surface(view.ax, x, x[:, :3], pale[data.cell_tags[cells]], grey, name)
     sections.draw_section(view.ax, data, view.toward, view.section_at)
 
 

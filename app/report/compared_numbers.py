@@ -11,9 +11,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
-from app.case import quantities
+from app.case import number_text, quantities, summary_numbers
+from app.case.number_text import Number
 from app.report.gruen import KJ
-from app.report.sweep_results import Json, Number, SweptCase, named
+from app.report.sweep_results import Json, SweptCase, named
 
 # Sections of a summary on the solution process; they hold no results.
 NOT_COMPARED = quantities.RUN_SECTIONS
@@ -46,7 +47,7 @@ class ComparedNumber:
     @property
     def title(self) -> str:
         """Label with the unit in brackets."""
-        return quantities.with_brackets(self.label, self.unit)
+        return number_text.with_brackets(self.label, self.unit)
 
     @property
     def changes(self) -> list[tuple[int, Number, Number]]:
@@ -163,7 +164,7 @@ def _all_numbers(cases: Sequence[SweptCase]) -> Iterator[ComparedNumber]:
     """All numbers of the runs, in the order of the table of quantities, then by Gruen zone."""
     keys: dict[str, str] = {}
     for case in cases:
-        for section, owner, owner_numbers in quantities.numbers_of(case.summary, parts=True):
+        for section, owner, owner_numbers in summary_numbers.numbers_of(case.summary, parts=True):
             if section not in NOT_COMPARED:
                 for quantity in quantities.TABLE[section].values():
                     is_place_of_maximum = quantity.key.endswith("_at")
@@ -211,7 +212,7 @@ def _zones(cases: Sequence[SweptCase]) -> Iterator[ComparedNumber]:
                         f"gruen.{zone}.{interface}.{key}",
                         ZONES,
                         f"zone {zone}: {named(interface)} {q.label}",
-                        quantities.printed(q.shown),
+                        number_text.printed(q.shown),
                         numbers,
                         10.0**-q.digits,
                         q.exact,

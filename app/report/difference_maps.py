@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from app.case.quantities import printed
+from app.case.number_text import printed
 from app.foundation.arrays import Floats
 from app.plots import figures
 from app.plots.maps import Interpolation

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypedDict
 
 import configs
-from app.case import credibility, quantities
+from app.case import credibility, number_text, summary_numbers
 from app.case.case import Case, load_case
 from app.case.credibility import CREDIBILITY_FACTORS, RISKS, FactorName, Grade
 from app.case.geometries import MeshFile
@@ -520,13 +520,13 @@ def _discretization(summary: Summary) -> Iterator[str]:
     if "error" not in summary:
         yield "not estimated"
         return
-    for section, name, numbers in quantities.numbers_of(summary):
+    for section, name, numbers in summary_numbers.numbers_of(summary):
         quantities_with_error = [
             q for q in TABLE[section].values() if q.headline and f"{q.key}_error" in numbers
         ]
         if quantities_with_error:
             number_texts = (
-                f"{q.label} {q.text(numbers)} {quantities.printed(q.shown)}"
+                f"{q.label} {q.text(numbers)} {number_text.printed(q.shown)}"
                 for q in quantities_with_error
             )
             yield f"{name}: {', '.join(number_texts)}"
@@ -575,7 +575,7 @@ def _sensitivities(basis: Evidence) -> Finding:
     if not basis.spread:
         return Finding("a", ("no sweep was given",), SWEEP)
     sentences = [_samples(basis.spread)]
-    for name, q, _, _ in quantities.main_numbers(basis.summary):
+    for name, q, _, _ in summary_numbers.main_numbers(basis.summary):
         values = basis.spread.range_of(name)
         if values and values[2]:
             owner = name.partition(".")[0]
@@ -604,12 +604,12 @@ def _samples(spread: InputSpread) -> str:
 
 def _bands(summary: Summary, spread: InputSpread) -> Iterator[str]:
     """Ranges of the main numbers over uncertain inputs."""
-    for name, q, _, _ in quantities.main_numbers(summary):
+    for name, q, _, _ in summary_numbers.main_numbers(summary):
         values = spread.range_of(name)
         if values:
             lowest, highest, _ = values
             range_text = (
-                f"{lowest:.{q.digits}f} to {highest:.{q.digits}f} {quantities.printed(q.shown)}"
+                f"{lowest:.{q.digits}f} to {highest:.{q.digits}f} {number_text.printed(q.shown)}"
             )
             owner = name.partition(".")[0]
             yield f"{owner}: {q.label} {range_text} (5 to 95 % over the inputs)"

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 
 from app.campaigns import fit_results
 from app.campaigns.fit_results import FitRecord, FitRow
-from app.case import quantities
+from app.case import number_text, quantities
 from app.case.points import Range, short_keys
 from app.foundation.layout import duration, several, two_digits
 from app.foundation.verdict import Severity, recorded, texts_of
@@ -221,7 +221,7 @@ def _title(record: FitRecord, name: str) -> str:
         return quantities.label_with_unit(name)
     unit = record["keys"][name]["unit"]
     key_title = short_keys(list(record["keys"]))[name].replace("_", " ")
-    return quantities.with_brackets(key_title, unit)
+    return number_text.with_brackets(key_title, unit)
 
 
 def _draw_keys(axes: Axes, record: FitRecord) -> None:

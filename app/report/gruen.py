@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 
+from app.case.number_text import Number
 from app.case.quantities import TABLE
 from app.case.summary import Numbers, Zone
 from app.foundation.layout import two_digits
@@ -16,7 +17,6 @@ from app.report.sweep_results import (
     INTERFACES,
     QUANTITIES,
     QUANTITY_LABELS,
-    Number,
     SweptCase,
     magnitude,
     named,

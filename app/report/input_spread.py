@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.campaigns import uncertainty
-from app.case.quantities import Quantity, label_with_unit, main_numbers
+from app.case.quantities import Quantity, label_with_unit
 from app.case.summary import Numbers
+from app.case.summary_numbers import main_numbers
 from app.foundation.errors import InputError
 from app.foundation.layout import leaves, plain_text, two_digits
 from app.report.sweep_keys import key_in_words

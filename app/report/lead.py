@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterator, Sequence
 from itertools import chain, zip_longest
 
-from app.case.quantities import NECROSIS, TABLE, in_print, label_and_unit, printed
+from app.case.number_text import in_print, printed
+from app.case.quantities import NECROSIS, TABLE, label_and_unit
 from app.case.summary import TEMPERATURE_LEVELS, Numbers, Summary, name_of_implant
 from app.report.page import LargeNumber, spelled_out
 from app.report.sweep_results import SweptCase, magnitude, named

@@ -15,11 +15,11 @@ from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
-from app.case.quantities import printed
+from app.case.number_text import printed
 from app.foundation.arrays import Bools, Ints
 from app.foundation.errors import InputError
 from app.plots import figures
-from app.plots.sections import METAL, VIEWS, draw_surface
+from app.plots.surface_views import METAL, VIEWS, draw_surface
 from app.report import viewer
 from app.report.viewer import ShownField
 from app.results.reading import Run

@@ -8,7 +8,7 @@ from itertools import chain
 
 import numpy as np
 
-from app.case.quantities import FACTOR_OF_UNIT, printed
+from app.case.number_text import FACTOR_OF_UNIT, printed
 from app.foundation.arrays import Floats
 from app.foundation.layout import plain_text
 from app.plots.curves import ROUNDED, Line, Panel, drawing

@@ -33,7 +33,7 @@ from app.foundation.layout import alternatives
 from app.plots import figures
 from app.plots import maps as plane
 from app.plots.figures import HEAT_COLOURS, LOADED, SEQUENTIAL, SIGNED
-from app.plots.sections import VIEWS, draw_surface
+from app.plots.surface_views import VIEWS, draw_surface
 from app.report import lead
 from app.report.page import Figure
 from app.report.sweep_results import QUANTITY_LABELS, SweepResults, SweptCase, headlines, named

@@ -21,9 +21,10 @@ from mpi4py import MPI
 import matplotlib as mpl
 
 import meshes
-from app.case import quantities
+from app.case import quantities, summary_numbers
 from app.case.case import Case, load_case
-from app.case.quantities import TABLE, in_print, printed, with_brackets
+from app.case.number_text import in_print, printed, with_brackets
+from app.case.quantities import TABLE
 from app.case.summary import Numbers, Summary, name_of_implant
 from app.foundation.collective import distribute_tasks, on_root
 from app.foundation.layout import noted, plain_text
@@ -424,7 +425,7 @@ def _numbers(summary: Summary, spread: InputSpread | None) -> list[Block]:
 def _tables(summary: Summary, all_parts: bool, spread: InputSpread | None = None) -> list[Block]:
     """Return a table for each section: of all numbers, or of the main numbers with their spread."""
     sections: dict[str, dict[str, Numbers]] = {}
-    for section, name, numbers in quantities.numbers_of(summary, parts=all_parts):
+    for section, name, numbers in summary_numbers.numbers_of(summary, parts=all_parts):
         sections.setdefault(section, {})[name] = numbers
     blocks: list[Block] = []
     titles = TITLES | {section.name: section.title for section in quantities.ADDED.values()}

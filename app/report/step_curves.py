@@ -8,7 +8,8 @@ from itertools import chain
 import numpy as np
 
 from app.case.case import Case
-from app.case.quantities import FACTOR_OF_UNIT, TABLE, TENSION_LEVELS, printed
+from app.case.number_text import FACTOR_OF_UNIT, printed
+from app.case.quantities import TABLE, TENSION_LEVELS
 from app.case.summary import Summary
 from app.foundation.arrays import Floats
 from app.foundation.layout import plain_text

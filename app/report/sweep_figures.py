@@ -8,6 +8,7 @@ from itertools import chain
 from pathlib import Path
 
 from app.case import quantities
+from app.case.number_text import Number
 from app.plots.curves import Line, Panel, draw, drawing
 from app.report import page
 from app.report.page import Block
@@ -20,7 +21,7 @@ from app.report.sweep_keys import (
     mantle_thickness,
     varied_keys,
 )
-from app.report.sweep_results import Number, SweptCase, headlines, is_varying
+from app.report.sweep_results import SweptCase, headlines, is_varying
 
 # Largest number of panels in a picture.
 MOST_PANELS = 12

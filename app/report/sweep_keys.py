@@ -8,7 +8,7 @@ from contextlib import suppress
 from fractions import Fraction
 from itertools import chain
 
-from app.case import keys, quantities
+from app.case import keys, number_text
 from app.report.sweep_results import SweptCase, by_part, named
 from app.schema.units import conversion, number_and_unit
 
@@ -66,7 +66,7 @@ def levels_of(cases: Sequence[SweptCase], key: str) -> tuple[str, list[float | N
     written_units = {level[1] for level in levels if level}
     unit = written_units.pop() if len(written_units) == 1 else None
     if unit:
-        return quantities.printed(unit), numbers
+        return number_text.printed(unit), numbers
     schema_unit = keys.internal_unit(key)
     for k, level in enumerate(levels):
         if level and level[1]:
@@ -74,7 +74,7 @@ def levels_of(cases: Sequence[SweptCase], key: str) -> tuple[str, list[float | N
             with suppress(LookupError, ValueError):  # the key has no unit
                 slope, offset = conversion(level[1], schema_unit)
                 numbers[k] = float(Fraction(str(level[0])) * slope + offset)
-    return quantities.printed(schema_unit), numbers
+    return number_text.printed(schema_unit), numbers
 
 
 def mantle_thickness(case: SweptCase) -> dict[str, float]:

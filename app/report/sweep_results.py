@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
@@ -10,12 +9,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from app.case import quantities
-from app.case.quantities import NOT_RESOLVED
+from app.case import number_text, quantities, summary_numbers
+from app.case.number_text import Number
 from app.case.summary import Summary
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
-from app.foundation.layout import two_digits
 from app.plots.curves import ROUNDED
 from app.results.reading import PathTable, Results
 from app.results.verdicts import UNUSABLE
@@ -32,7 +30,7 @@ PERCENTILES = {
     key: next(p for p in ("p95", "p99") if quantities.TABLE["interfaces"][f"{key}_{p}"].headline)
     for key in _CONTACT
 }
-QUANTITIES = {key: (quantities.printed(q.shown), q.factor) for key, q in _CONTACT.items()}
+QUANTITIES = {key: (number_text.printed(q.shown), q.factor) for key, q in _CONTACT.items()}
 QUANTITY_LABELS = {key: q.label.removesuffix(", max") for key, q in _CONTACT.items()}
 QUANTITY_LABELS |= quantities.PLACES
 CONVERGED = "converged"
@@ -42,40 +40,6 @@ STATUSES = (CONVERGED, "not converged", "failed", "stopped", UNUSABLE)
 
 # Content of a JSON file: summary.json, provenance.json, a case as plain data.
 Json = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Number:
-    """A number with its estimated error by mesh and steps.
-
-    Attributes:
-        value: The number.
-        error: Its error in the same unit; None if it was not estimated.
-    """
-
-    value: float
-    error: float | None = None
-
-    def __str__(self) -> str:
-        """Format to the second digit of the error; without error, to four digits."""
-        if self.error is None or self.error <= 0:
-            return f"{self.value:.4g}"
-        if self.error >= abs(self.value):
-            return f"{two_digits(self.value)} ± {two_digits(self.error)}"
-        places = max(0, 1 - math.floor(math.log10(self.error)))
-        if places > 5:
-            return f"{self.value:.6g} ± {self.error:.1g}"
-        return f"{self.value:.{places}f} ± {self.error:.{places}f}"
-
-    def text(self, rounding: float) -> str:
-        """The number; 0 if it is far below a difference that counts as rounding."""
-        return "0" if abs(self.value) < 0.01 * rounding else str(self)
-
-    @property
-    def marked(self) -> str:
-        """The number, with a mark if its error exceeds it, as tables have it."""
-        is_lost = self.error is not None and self.error > abs(self.value)
-        return f"{self}{NOT_RESOLVED if is_lost else ''}"
 
 
 @dataclass(frozen=True)
@@ -147,7 +111,9 @@ class SweptCase:
 
     def number(self, name: str) -> Number | None:
         """Return a number by ``<interface or region>.<key>`` in its printed unit, or None."""
-        value, error = (quantities.read(self.summary, name, suffix) for suffix in ("", "_error"))
+        value, error = (
+            summary_numbers.read(self.summary, name, suffix) for suffix in ("", "_error")
+        )
         if value is None:
             value, error = self.numbers.get(name), self.errors.get(name)
         if value is None or not self.done:
@@ -246,7 +212,7 @@ def headlines(cases: Sequence[SweptCase]) -> list[str]:
         for section in quantities.ADDED.values():
             leading = [q.key for q in quantities.TABLE[section.name].values() if q.headline]
             if section.leads:
-                numbers = quantities.numbers_of(case.summary)
+                numbers = summary_numbers.numbers_of(case.summary)
                 owners = [owner for name, owner, _ in numbers if name == section.name]
                 names |= {f"{owner}.{key}": None for owner in owners for key in leading}
         for name in case.summary.get("interfaces", {}):

@@ -9,8 +9,10 @@ import logging
 import re
 from collections.abc import Iterator, Mapping
 
-from app.case.quantities import ADDED, NECROSIS, NOT_RESOLVED, TABLE, numbers_of
+from app.case.number_text import NOT_RESOLVED
+from app.case.quantities import ADDED, NECROSIS, TABLE
 from app.case.summary import Numbers, Summary, name_of_implant
+from app.case.summary_numbers import numbers_of
 from app.foundation import layout
 from app.foundation.verdict import Severity, recorded
 from app.results.cycles import sentences

@@ -42,8 +42,9 @@ import numpy as np
 
 from app.case.case import Case
 from app.case.error_classes import STRESS_ERRORS, ErrorClass
-from app.case.quantities import ADDED, TABLE, Quantity, numbers_of
+from app.case.quantities import ADDED, TABLE, Quantity
 from app.case.summary import Numbers, Summary
+from app.case.summary_numbers import numbers_of
 from app.foundation.arrays import Floats
 
 # Mesh sizes of companions over that of the run [-]: the first for the error of the mesh, the second

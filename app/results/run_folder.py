@@ -19,7 +19,7 @@ from typing import TypedDict
 from mpi4py import MPI
 
 from app import __version__
-from app.case import quantities
+from app.case import number_text
 from app.case.summary import Summary
 from app.foundation import files
 from app.foundation.collective import on_root
@@ -40,7 +40,7 @@ from app.system.folders import (
 )
 from meshes.distribute import TaggedMesh
 
-UNITS = {what.partition(" ")[2]: unit for unit, what in quantities.UNITS.items() if unit != "-"}
+UNITS = {what.partition(" ")[2]: unit for unit, what in number_text.UNITS.items() if unit != "-"}
 UNITS |= {"memory": "MB", "memory per unknown": "kB"}
 # Shortest time between two writes of history.csv [s].
 OFTEN = 1.0

@@ -7,7 +7,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TypedDict
 
-from app.case import quantities
+from app.case import quantities, summary_numbers
 from app.case.points import Point
 from app.case.summary import Summary
 from app.foundation import layout
@@ -79,7 +79,7 @@ def row(point: Point, summary: Summary, status: str, seconds: float) -> RunRow:
         seconds: Wall time.
     """
     solver = summary.get("solver", {})
-    numbers = list(quantities.main_numbers(summary))
+    numbers = list(summary_numbers.main_numbers(summary))
     return {
         "name": point.name,
         "overrides": point.changes,

@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.case import quantities
-from app.case.quantities import TABLE, in_print
+from app.case import quantities, summary_numbers
+from app.case.number_text import in_print
+from app.case.quantities import TABLE
 from app.case.summary import Numbers, Summary
 from app.foundation.errors import UnusableError
 from app.foundation.layout import count, several, two_digits
@@ -144,7 +145,7 @@ def large_slip(summary: Summary) -> list[str]:
     return [
         name
         for name, q in summary.get("interfaces", {}).items()
-        if quantities.maximum_with_parts(q, "slip_max") > q.get("facet_size", np.inf)
+        if summary_numbers.maximum_with_parts(q, "slip_max") > q.get("facet_size", np.inf)
     ]
 
 

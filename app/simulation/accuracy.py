@@ -18,8 +18,9 @@ from mpi4py import MPI
 
 from app.case.case import Case
 from app.case.error_classes import ByOrder
-from app.case.quantities import label_and_unit, main_numbers
+from app.case.quantities import label_and_unit
 from app.case.summary import EstimatedErrors, Summary
+from app.case.summary_numbers import main_numbers
 from app.foundation.errors import ConvergenceError, StoppedError
 from app.foundation.layout import duration, percent
 from app.results import error_estimate

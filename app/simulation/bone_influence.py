@@ -10,8 +10,8 @@ from __future__ import annotations
 import logging
 
 from app.case.case import Case
-from app.case.quantities import main_numbers
 from app.case.summary import BoneInfluence, Summary
+from app.case.summary_numbers import main_numbers
 from app.foundation.layout import percent
 from app.results.error_estimate import largest_of_units, reference_size
 from app.simulation.model import Model

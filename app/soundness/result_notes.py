@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable, Iterable
 
 from app.case.case import Case
-from app.case.quantities import maximum_with_parts
 from app.case.summary import Summary
+from app.case.summary_numbers import maximum_with_parts
 from app.foundation.layout import two_digits
 from app.foundation.verdict import Verdict, note
 from app.laws.materials import Material

@@ -13,42 +13,27 @@ The runs of today show if this version of the program still predicts the same.
 
 from __future__ import annotations
 
-import datetime as dt
 import logging
-import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import configs
-from app.campaigns import batch, uncertainty
+from app.campaigns import batch
 from app.campaigns.batch import Options
 from app.campaigns.runs import Result
 from app.case.case import PlannedRun
 from app.foundation import layout
-from app.foundation.errors import EnvironmentProblem, InputError, worst_error
-from app.results.reading import Results
+from app.foundation.errors import InputError, worst_error
 from app.system.folders import csv_text, remove, write_json, write_text, writing
-from app.validation import metrics, picture, records
+from app.validation import metrics, picture, prediction, records
 from app.validation.catalogue import EXPERIMENTS
-from app.validation.experiment import (
-    COARSER_POINTS,
-    NOMINAL,
-    SAMPLES,
-    Conditions,
-    Experiment,
-    PredictedQuantity,
-    place_of_run,
-)
-from app.validation.records import ExperimentRecord, MeasuredQuantity, Prediction, Predictions
+from app.validation.experiment import NOMINAL, SAMPLES, Experiment, place_of_run
+from app.validation.prediction import conditions_of_part, interval_text
+from app.validation.records import MeasuredQuantity, Prediction, Predictions
 
 log = logging.getLogger("mantle")
 
 # Largest relative change of a value that counts as reproduced.
 REPRODUCED = 1e-3
-# Least number of samples that make a prediction.
-FEWEST_SAMPLES = 8
-# Folders of the program and its cases, in which a recorded prediction allows no uncommitted change.
-COMMITTED = ("app", "forms", "meshes", "configs")
 
 
 @dataclass(frozen=True)
@@ -82,7 +67,9 @@ def run(options: Options, *, record: bool) -> bool:
 
     Raises:
         InputError: No experiment has such a name; predictions or measurements are missing or
-            malformed, or an experiment has changed since its prediction.
+            malformed; an experiment has changed since its prediction; a tier has no samples to
+            record.
+        EnvironmentProblem: The sources to record are not those of a commit.
         MantleError: Runs of the conditions failed, or too many samples.
     """
     experiments = _chosen(options.pattern)
@@ -97,14 +84,18 @@ def run(options: Options, *, record: bool) -> bool:
         log.info("%s", batch.table_of_planned_runs(heading, all_runs, options))
         return True
     if record:
-        return _record(experiments, planned, options)
+        if options.tier == "quick":
+            raise InputError("--record: a prediction needs all samples; leave out --tier quick")
+        commit = prediction.commit_of_sources()
+        prediction.record(experiments, _results(planned, options), commit)
+        return True
     measurements = records.measurements(predictions)
     results = _results(planned, options)
     comparisons = [
         ComparedQuantity(
             experiment.name,
             name,
-            quantity.number(_conditions(results[experiment.name], NOMINAL)),
+            quantity.number(conditions_of_part(results[experiment.name], NOMINAL)),
             predictions[experiment.name].quantities[name],
             measurements.get(experiment.name, {}).get(name),
         )
@@ -189,162 +180,7 @@ def _results(
     return by_name
 
 
-def _conditions(results: Sequence[Result], part: str, sample: int = 0) -> Conditions:
-    """Results by condition of a part, of one sample."""
-    places_and_results = [(place_of_run(r.planned.name), r) for r in results]
-    return {
-        place_in_sweep.condition: Results(r.folder)
-        for place_in_sweep, r in places_and_results
-        if (place_in_sweep.part, place_in_sweep.sample) == (part, sample) and not r.exit_code
-    }
-
-
-# Predictions
-
-
-def _record(
-    experiments: Sequence[Experiment], planned: Mapping[str, Sequence[PlannedRun]], options: Options
-) -> bool:
-    """Predict experiments and write their predictions into the manual's folder.
-
-    Raises:
-        InputError: The tier has no samples.
-        EnvironmentProblem: The sources are not those of a commit.
-    """
-    if options.tier == "quick":
-        raise InputError("--record: a prediction needs all samples; leave out --tier quick")
-    commit = _commit()
-    results = _results(planned, options)
-    predictions = records.predictions() if records.PREDICTIONS.exists() else {}
-    for experiment in experiments:
-        ended = results[experiment.name]
-        predicted = predict(experiment, ended)
-        predictions[experiment.name] = ExperimentRecord(
-            title=experiment.title,
-            blind=experiment.blind,
-            commit=commit,
-            date=dt.date.today().isoformat(),
-            inputs=records.hash_of_inputs(experiment),
-            seed=experiment.designs[0].seed,
-            runs=len(ended),
-            quantities=predicted,
-        )
-        log.info("%s", _predicted_table(experiment.name, predicted))
-    records.write({name: predictions[name] for name in EXPERIMENTS if name in predictions})
-    log.info("the predictions are written in %s", records.PREDICTIONS)
-    return True
-
-
-def _commit() -> str:
-    """Commit of the sources.
-
-    Raises:
-        EnvironmentProblem: They are in no repository, or changed since the commit.
-    """
-    git = ["git", "-C", str(configs.FOLDER.parent)]
-    try:
-        changes, head = (
-            subprocess.run([*git, *command], capture_output=True, text=True, check=True).stdout
-            for command in (
-                ["status", "--porcelain", "--", *COMMITTED],
-                ["rev-parse", "--short=12", "HEAD"],
-            )
-        )
-    except (OSError, subprocess.CalledProcessError) as error:
-        message = (
-            "--record: the commit of the sources is unknown; it needs git and their repository"
-        )
-        raise EnvironmentProblem(message) from error
-    if changes.strip():
-        raise EnvironmentProblem(
-            "--record: the sources have changes that are not committed; commit them first:\n"
-            + changes.rstrip()
-        )
-    return head.strip()
-
-
-def predict(experiment: Experiment, results: Sequence[Result]) -> dict[str, Prediction]:
-    """Predictions of an experiment from the results of all its runs.
-
-    Samples with a run that failed are left out.
-
-    Raises:
-        InputError: Fewer than `FEWEST_SAMPLES` samples are complete.
-    """
-    nominal, coarser = (_conditions(results, part) for part in (NOMINAL, COARSER_POINTS))
-    complete: list[Conditions] = []
-    inputs: list[dict[str, object]] = []
-    for number in range(1, experiment.designs[0].samples + 1):
-        conditions = _conditions(results, SAMPLES, number)
-        if conditions.keys() != nominal.keys():
-            log.warning("%s: sample %d failed and is left out", experiment.name, number)
-            continue
-        complete.append(conditions)
-        runs = [r.planned for r in results if place_of_run(r.planned.name).sample == number]
-        inputs.append(_inputs(experiment, runs))
-    if len(complete) < FEWEST_SAMPLES:
-        message = f"only {len(complete)} samples are complete; a prediction needs {FEWEST_SAMPLES}"
-        raise InputError(f"{experiment.sweep}: {message}")
-    by_key = {key: [of_sample[key] for of_sample in inputs] for key in inputs[0]}
-    return {
-        name: _prediction(quantity, nominal, coarser, complete, by_key)
-        for name, quantity in experiment.quantities.items()
-    }
-
-
-def _inputs(experiment: Experiment, runs: Sequence[PlannedRun]) -> dict[str, object]:
-    """Values of the uncertain inputs of a sample; with its condition where they differ."""
-    keys = dict.fromkeys(key for design in experiment.designs for key in design.inputs)
-    values: dict[str, object] = {}
-    for key in keys:
-        of_runs = {
-            place_of_run(r.name).condition: r.point.changes[key]
-            for r in runs
-            if key in r.point.changes
-        }
-        if len(set(map(str, of_runs.values()))) == 1:
-            values[key] = next(iter(of_runs.values()))
-        else:
-            values |= {f"{key} ({condition})": value for condition, value in of_runs.items()}
-    return values
-
-
-def _prediction(
-    quantity: PredictedQuantity,
-    nominal: Conditions,
-    coarser: Conditions,
-    samples: Sequence[Conditions],
-    inputs: Mapping[str, Sequence[object]],
-) -> Prediction:
-    value = quantity.number(nominal)
-    numbers = [quantity.number(conditions) for conditions in samples]
-    spread = uncertainty.of_number(numbers, inputs)
-    return Prediction(
-        text=quantity.text,
-        unit=quantity.unit,
-        value=_rounded(value),
-        discretization=_rounded(abs(quantity.number(coarser) - value)),
-        band=(_rounded(spread["p5"]), _rounded(spread["p95"])),
-        failure=quantity.failure,
-        follows={key: round(r, 2) for key, r in spread["correlation"].items()},
-        samples=[_rounded(number) for number in numbers],
-    )
-
-
-def _rounded(number: float) -> float:
-    """A number with five digits."""
-    return float(f"{number:.5g}")
-
-
-def _predicted_table(name: str, predicted: Mapping[str, Prediction]) -> str:
-    rows = [
-        (key, p.unit, f"{p.value:.4g}", f"{p.discretization:.2g}", _interval(p.band))
-        for key, p in predicted.items()
-    ]
-    return layout.text_table((name, "unit", "predicted", "± mesh", "band"), rows)
-
-
-# ComparedQuantity
+# Comparison
 
 
 def _write(comparisons: Sequence[ComparedQuantity], options: Options) -> None:
@@ -376,7 +212,7 @@ def _row(c: ComparedQuantity) -> dict[str, object]:
         "unit": p.unit,
         "predicted": f"{p.value:.4g}",
         "± mesh": f"{p.discretization:.2g}",
-        "band": _interval(p.band),
+        "band": interval_text(p.band),
         "today": f"{c.today:.4g}",
         "measured": "",
         "": "",
@@ -385,15 +221,13 @@ def _row(c: ComparedQuantity) -> dict[str, object]:
     }
     if m is not None:
         is_spread = m.range is not None or m.uncertainty is not None
-        row["measured"] = _interval(metrics.measured_range(m)) if is_spread else f"{m.middle:.4g}"
+        row["measured"] = (
+            interval_text(metrics.measured_range(m)) if is_spread else f"{m.middle:.4g}"
+        )
         row[""] = "inside" if metrics.inside(p, m) else "outside"
         row["E_n"] = f"{metrics.normalised_error(p, m):.2f}"
         row["area"] = f"{metrics.area_metric(p, m):.3g}"
     return row
-
-
-def _interval(interval: tuple[float, float]) -> str:
-    return f"{interval[0]:.3g} to {interval[1]:.3g}"
 
 
 def json_of_comparison(c: ComparedQuantity) -> dict[str, object]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from app.case import quantities
+from app.case import summary_numbers
 from app.case.case import load_case
 from app.foundation.arrays import Field, Floats, Ints
 from app.foundation.verdict import Reason
@@ -44,7 +44,7 @@ def slice_of(size: float) -> tuple[str, ...]:
 
 def summary_number(run: Run, name: str, reference: float) -> Comparison:
     """A number of the summary, named as in studies."""
-    value = quantities.read(run.summary, name)
+    value = summary_numbers.read(run.summary, name)
     return relative(math.nan if value is None else value, reference)
 
 

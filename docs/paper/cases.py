@@ -12,10 +12,11 @@ from typing import Any, TypeVar
 import numpy as np
 
 from app.case.case import read_geometry
+from app.case.number_text import Number
 from app.foundation.arrays import Floats
 from app.foundation.errors import MantleError
 from app.report.pictures import facets
-from app.report.sweep_results import PERCENTILES, Number, SweepResults, SweptCase, magnitude
+from app.report.sweep_results import PERCENTILES, SweepResults, SweptCase, magnitude
 from app.results.percentiles import percentile
 from app.results.reading import Run
 

@@ -11,8 +11,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
+from app.case.number_text import Number
 from app.foundation.layout import plain_text
-from app.report.sweep_results import QUANTITIES, Number, SweptCase, named
+from app.report.sweep_results import QUANTITIES, SweptCase, named
 from docs.paper import cases as paper
 from docs.paper.cases import Cases
 

@@ -20,11 +20,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from app.case.quantities import numbers_of, printed
+from app.case.number_text import Number, printed
+from app.case.summary_numbers import numbers_of
 from app.plots.curves import Line, Panel, draw
 from app.plots.figures import PNG
 from app.report.sweep_figures import curve_of_numbers
-from app.report.sweep_results import QUANTITIES, Number, SweptCase, named, read
+from app.report.sweep_results import QUANTITIES, SweptCase, named, read
 from docs.paper import cases as paper
 from docs.paper.cases import READINGS, REFERENCE, STEMS, Cases, labels
 from docs.paper.claims import CLAIMS, INTERFACES, judge

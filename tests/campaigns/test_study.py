@@ -15,9 +15,9 @@ import pytest
 from app.campaigns import study
 from app.campaigns.batch import Options
 from app.campaigns.runs import Result
-from app.campaigns.study_report import Measured
+from app.campaigns.study_results import Measured
 from app.campaigns.work_precision import NOT_CONVERGING, ReferenceValue
-from app.case import quantities
+from app.case import quantities, summary_numbers
 from app.case import study as study_file
 from app.cli import main
 from app.foundation.errors import MantleError
@@ -288,53 +288,6 @@ study:
     assert [p.case.stages[0].increments for p in planned[6:]] == [1, 2]
 
 
-def test_study_quantities_have_a_row_each() -> None:
-    rows = {section: set(table) for section, table in quantities.TABLE.items()}
-    assert rows["regions"] >= {f"volume_over_{level}_MPa" for level in quantities.TENSION_LEVELS}
-    assert rows["femur"] >= {
-        f"strain_{side}_{level}" for side in ("lateral", "medial") for level in quantities.GAUGES
-    }
-    assert rows["thermal.regions"] >= {
-        f"necrosis_{rule}_{key}" for rule in quantities.NECROSIS for key in ("volume", "depth")
-    }
-
-
-def test_study_quantities_are_found_in_a_summary() -> None:
-    summary = {
-        "interfaces": {"a_b": {"slip_p99": 0.1, "force": [1, 2, 3], "force_error": [4, 5, 6]}},
-        "regions": {"stem": {"von_mises_p99": 7.0}},
-        "stem": {"subsidence": 0.2, "subsidence_error": 0.3},
-        "thermal": {"regions": {"bone": {"temperature_max": 3.0}}, "interfaces": {}},
-        "cure": {"cement": {"time_50": 5.0}},
-    }
-    assert quantities.read(summary, "a_b.slip_p99") == 0.1
-    assert quantities.read(summary, "a_b.force.y") == 2
-    assert quantities.read(summary, "a_b.force.z", "_error") == 6
-    assert quantities.read(summary, "stem.von_mises_p99") == 7
-    assert quantities.read(summary, "stem.subsidence", "_error") == 0.3
-    assert quantities.read(summary, "bone.temperature_max") == 3
-    assert quantities.read(summary, "cement.time_50") == 5
-    assert quantities.read(summary, "a_b.gap_p99") is None
-    assert quantities.read({}, "stem.subsidence") is None
-
-
-@pytest.mark.parametrize(
-    ("quantity", "unit", "given", "value"),
-    [
-        ("cement_bone.temperature_max_second", "degC", "323.15 K", 50.0),
-        ("cement_bone.heat_flux_max", "W/m^2", "1.704821 mW/mm^2", 1704.821),
-        ("cortical_bone.cem43_max", "min", "1 hour", 60.0),
-        ("cement.rate_max", "1/s", "94.0834 1/ks", 0.0940834),
-        ("cement_bone.strength_fraction", "-", 0.5, 0.5),
-    ],
-)
-def test_study_known_values_have_units(
-    quantity: str, unit: str, given: str | float, value: float
-) -> None:
-    assert quantities.quantity_or_fail(quantity).unit == unit
-    assert quantities.known_value(quantity, given) == pytest.approx(value, rel=1e-15)
-
-
 # Numbers of laws, strengths, tissues and axes that the blocks do not have.
 ELSEWHERE = {
     *("hoop_p99", "creep_strain_max", "creep_strain_mean", "failure_risk", "failure_probability"),
@@ -395,4 +348,4 @@ study:
         name = next(iter(summary[section]))
         for key in (n for q in quantities.TABLE[section].values() for n in q.names):
             if key not in ELSEWHERE:
-                assert quantities.read(summary, f"{name}.{key}") is not None, key
+                assert summary_numbers.read(summary, f"{name}.{key}") is not None, key

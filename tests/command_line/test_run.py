@@ -24,7 +24,7 @@ import mantle
 import meshes
 from app.case import new_case
 from app.case.case import dump, load_case
-from app.case.quantities import maximum_with_parts
+from app.case.summary_numbers import maximum_with_parts
 from app.foundation.verdict import recorded
 from app.laws.loads import Force
 from app.report import run_report

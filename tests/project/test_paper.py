@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from app.case.number_text import Number
 from app.report import sweep_results as rs
-from app.report.sweep_results import Number
 from app.schema import yaml_file
 from docs.paper import cases as paper
 from docs.paper import claims, compare

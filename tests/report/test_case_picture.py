@@ -12,7 +12,7 @@ import pytest
 from matplotlib.text import Text
 
 from app.case.case import load_case
-from app.plots import figures, sections
+from app.plots import figures, surface_views
 from app.report import case_picture
 from app.system import folders
 from meshes import build
@@ -114,7 +114,7 @@ def test_case_picture_of_a_right_femur_says_that_it_is_mirrored(
         case_picture.draw(case, data, tmp_path / "case.png")
         assert case.geometry.is_mirrored == (name == "right")
         assert ("mirrored" in made[-1].texts[0].get_text()) == (name == "right")
-        sections.interfaces(data, tmp_path / "a.png", title="a right femur, mirrored")
+        surface_views.draw_interfaces(data, tmp_path / "a.png", title="a right femur, mirrored")
         assert made[-1]._suptitle.get_text() == "a right femur, mirrored"
         edges = [text.get_text() for legend in made[-1].legends for text in legend.get_texts()]
         assert edges == ["on cortical bone"]

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from app.case.number_text import Number
 from app.report import compared_numbers
-from app.report.sweep_results import CONVERGED, Number, SweptCase
+from app.report.sweep_results import CONVERGED, SweptCase
 
 
 def run(folder: Path, **sections: object) -> SweptCase:

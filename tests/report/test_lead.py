@@ -7,8 +7,8 @@ from typing import Any, cast
 
 import pytest
 
+from app.case.number_text import Number
 from app.report import lead
-from app.report.sweep_results import Number
 
 
 @pytest.mark.parametrize(

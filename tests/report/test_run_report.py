@@ -16,7 +16,7 @@ import pytest
 import mantle
 from app.campaigns import uncertainty
 from app.case.points import UncertainInputs
-from app.case.quantities import TABLE, place_in_words
+from app.case.quantities import TABLE
 from app.cli import main
 from app.foundation.verdict import Verdict, note
 from app.plots import curves
@@ -389,19 +389,6 @@ def test_run_report_has_landmarks_if_the_files_of_the_case_are_there(tmp_path: P
     (note,) = run_report._model(tmp_path, config, reason)
     assert isinstance(note, Bullets)
     assert "no picture of the case: InputError" in note.texts[0]
-
-
-@pytest.mark.parametrize(
-    ("place", "words"),
-    [
-        ("stem_cement", "stem-cement"),
-        ("stem_cement_rim", "stem-cement rim"),
-        ("stem_bone_half_coated", "stem-bone half coated"),
-        ("cortical_bone", "cortical bone"),
-    ],
-)
-def test_run_report_places_in_words(place: str, words: str) -> None:
-    assert place_in_words(place) == words
 
 
 @pytest.mark.parametrize(

@@ -11,26 +11,7 @@ import pytest
 from app.cli import main
 from app.report import sweep_keys, sweep_report, sweep_tables
 from app.report import sweep_results as rs
-from app.report.sweep_results import Number
 from tests.report.sweeps import Maker, as_the_paper_says, contact, femur, sweep
-
-# Numbers
-
-
-@pytest.mark.parametrize(
-    "number, text",
-    [
-        (Number(41.26, 1.83), "41.3 ± 1.8"),
-        (Number(0.00123), "0.00123"),
-        (Number(12345.6, 150.0), "12346 ± 150"),
-        (Number(100.0, 3e-8), "100 ± 3e-08"),
-        (Number(5.0, 0.0), "5"),
-        (Number(0.01, 0.2), "0.01 ± 0.2"),
-    ],
-)
-def test_sweep_report_digits_follow_errors(number: Number, text: str) -> None:
-    assert str(number) == text
-
 
 # The page
 

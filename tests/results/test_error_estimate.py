@@ -393,24 +393,6 @@ def test_error_estimate_of_heat_sees_two_meshes_that_agree_by_chance() -> None:
     assert run["thermal"]["regions"]["lower"]["temperature_max_error"] == pytest.approx(alone)
 
 
-@pytest.mark.parametrize(
-    ("value", "error", "text"),
-    [
-        (0.04131, 0.0018, "41.3 ± 1.8"),
-        (0.04131, None, "41.3"),
-        (0.04131, 0.00002, "41.31 ± 0.02"),
-        (0.04131, 1e-9, "41.3"),
-        (0.0003, 0.0005, "0.3 ± 0.5 (not resolved)"),
-        (None, None, "-"),
-    ],
-)
-def test_error_estimate_sets_printed_digits(
-    value: float | None, error: float | None, text: str
-) -> None:
-    q = quantities.TABLE["interfaces"]["gap_p99"]  # mm, shown in um with one decimal
-    assert q.text({"gap_p99": value, "gap_p99_error": error}) == text
-
-
 # Numbers of the stance at 3.2 mm, which 6 mm of the shipped case is compared with.
 FINE = {
     "interfaces.stem_cement.gap_p99": 0.012550757986773763,

@@ -11,8 +11,8 @@ import configs
 from app import cli
 from app.foundation.errors import InputError
 from app.validation import records
-from app.validation.campaign import FEWEST_SAMPLES
 from app.validation.catalogue import EXPERIMENTS
+from app.validation.prediction import FEWEST_SAMPLES
 from app.validation.records import MeasuredQuantity
 from tests.validation.predictions import prediction, record
 
