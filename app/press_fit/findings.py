@@ -95,7 +95,7 @@ def _stages(case: Case) -> Iterable[Fault]:
 
 
 def _areas(name: str, motion: str, q: Numbers) -> str:
-    """Shares of the area of an interface or a zone with little and much motion, and open ones."""
+    """Shares of the area of an owner of numbers with little and much motion, and open ones."""
     below_40um, above_150um = (
         100 * q[f"area_{motion}_over_{level}um"] / q["area"] for level in (40, 150)
     )
@@ -190,8 +190,9 @@ def _ingrowth(summary: Summary) -> Iterable[Verdict]:
             continue
         motion = "micromotion"
         motion_text = (
-            "This motion began at the end of the insertion, so it has a permanent part. Give the"
-            " last stage `cycles` and the loads a `history` to see the inducible part alone."
+            "This motion began at the end of the insertion, so it has a permanent part. To see the"
+            " inducible part alone, give the last stage `cycles` and the loads a `history`, no"
+            " cycle table."
         )
         zones = {f"zone {zone}": part for zone, part in q.get("zones", {}).items()}
         of_stages = {
@@ -219,8 +220,11 @@ def _ingrowth(summary: Summary) -> Iterable[Verdict]:
         elif has_inducible:
             motion = "inducible"
             motion_text = "The motion is inducible, from the last valley to the last peak."
-        interface_and_zones = {name: q} | zones
-        shares = (_areas(owner, motion, part) for owner, part in interface_and_zones.items())
+        edges = {part: q[part] for part in ("rim", "tip") if part in q}
+        all_but = f"{name} without its {' and '.join(edges)}" if edges else name
+        counted = f"area_{motion}_over_40um"
+        owners = {all_but: q, **{f"its {part}": n for part, n in edges.items() if counted in n}}
+        shares = (_areas(owner, motion, part) for owner, part in (owners | zones).items())
         doubt = " This holds for elastic bone, but the insertion strains bone beyond its yield."
         message = (
             f"{'; '.join(shares)}. {motion_text}"

@@ -266,7 +266,7 @@ def _continued(view: View, level: float | None) -> None:
     )
     view.ax.plot(x_range, [level, level], color=CONTINUED, ls="--", lw=1.5)
     middle = np.array([0.5 * sum(x_range), level])
-    view.labels.append((f"end of the scan\nz = {level:.0f} mm", CONTINUED, middle))
+    view.labels.append((f"continued below\nz = {level:.0f} mm", CONTINUED, middle))
 
 
 def _boundary(data: MeshData, name: str) -> Floats:

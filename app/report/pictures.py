@@ -459,7 +459,7 @@ def sides(run: Run, folder: Path) -> list[Figure]:
                 scale, ax=views, orientation="horizontal", pad=0.02, extend=extend
             )
             largest = "largest mean at a node" if quantity in TRACTIONS else "largest"
-            bar.set_label(f"{label} on the {named(body)} ({unit}), {largest} {values.max():.3g}")
+            bar.set_label(f"{label} on the {named(body)} ({unit})\n{largest} {values.max():.3g}")
     figures.save_figure(figure, folder / f"{PICTURE_OF_SIDES}.png", 130)
     interface_names = " and ".join(name.replace("_", "-") for name in side_of_interface)
     motions = dict.fromkeys(next(iter(_on_sides(run, name))) for name in side_of_interface)
@@ -467,8 +467,8 @@ def sides(run: Run, folder: Path) -> list[Figure]:
     caption = (
         f"{motion_words}, gap and contact pressure at the end, on the inner body of each "
         f"interface. Colours end at the {CLIP:g}th percentile; the labels have the largest values"
-        " in the picture, with rim and tip. Pressures are means over the area of a node; the"
-        " maximum in the table is that at a point, and may be larger."
+        " in the picture, with rim and tip. Pressures are means over the area of a node, at an"
+        " edge over all its faces. The maximum in the table is that at a point, and may be larger."
     )
     description = (
         f"{motion_words}, gap and pressure of {interface_names}, drawn on the surface from three"

@@ -54,7 +54,9 @@ def headline(summary: Summary) -> Iterator[str]:
             number_texts = [f"{_with_unit('interfaces', key, q)} ({name})" for name, q in owners]
             is_pressed = all("insertion_pressure_max" in q for _, q in owners)
             since_text = " since the insertion" if is_pressed else ""
-            yield (f"99 % of the surface moves{since_text} by less than {', '.join(number_texts)}")
+            has_edges = any("rim" in q for _, q in owners)
+            surface = "surface without rim and tip" if has_edges else "surface"
+            yield f"99 % of the {surface} moves{since_text} by less than {', '.join(number_texts)}"
     # Interfaces with finite sliding have no number for motion; pressure is their main result.
     pressed = [row for row in interfaces.items() if row not in moving and "pressure_max" in row[1]]
     if pressed:
@@ -96,6 +98,7 @@ TABLES: dict[str, dict[str, str]] = {
         "gap max/p99": "gap_max / gap_p99",
         "slip max/p99": "slip_max / slip_p99",
         "motion max/p99": "motion_max / motion_p99",
+        "micromotion max/p99": "micromotion_max / micromotion_p99",
         "pressure max/p95": "pressure_max / pressure_p95",
         "shear max/p95": "shear_max / shear_p95",
         "open/stick/slip": "open_fraction / stick_fraction / slip_fraction",
@@ -193,14 +196,23 @@ def _table(section: str, rows: Rows) -> list[str]:
     columns = dict(_columns(section)) | {q.label: key for key, q in quantities.items() if q.compute}
     templates = list(filter(None, columns.values()))
 
+    def has_number(cell_text: str) -> bool:
+        return any(map(str.isdigit, cell_text))
+
     def cell(template: str, numbers: Numbers) -> str:
         cell_text = re.sub(r"\w+", lambda key: quantities[key[0]].text(numbers), template)
         return cell_text.replace(NOT_RESOLVED, STAR)
 
     cells = [[name, *(cell(t, numbers) for t in templates)] for name, numbers in rows.items()]
-    cells = [row for row in cells if set(row[1:]) != {"-"}]
+    cells = [row for row in cells if any(map(has_number, row[1:]))]
     units = ["", *(quantities[column_template.split()[0]].shown for column_template in templates)]
-    return layout.text_table(list(columns), cells, units).splitlines() if cells else []
+    table = [
+        column
+        for column in zip(columns, units, *cells, strict=True)
+        if column[0] == next(iter(columns)) or any(map(has_number, column[2:]))
+    ]
+    titles, units, *cells = (list(row) for row in zip(*table, strict=True))
+    return layout.text_table(titles, cells, units).splitlines() if cells else []
 
 
 def necrosis(regions: Rows) -> tuple[list[str], list[list[str]]]:

@@ -282,7 +282,7 @@ def _steep(name: str, q: Numbers) -> Verdict:
     )
     message = (
         f"the maximum on {name}, {largest} MPa, is at a ridge or an edge; averaged over the area "
-        f"of a node the pressure is at most {mean} MPa"
+        f"of a node on one face the pressure is at most {mean} MPa"
     )
     return Verdict(message, "pressure", severity=Severity.WARNING)
 

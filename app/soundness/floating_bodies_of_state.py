@@ -278,6 +278,37 @@ def error_of_runaway(problem: Problem, trial: TrialState) -> Verdict | None:
     return None
 
 
+def error_of_expelled_body(problem: Problem, trial: TrialState) -> Verdict | None:
+    """Return an error if a press fit has pushed a body out that nothing holds; collective.
+
+    Its interface touches nowhere, and is open further than its sides overlapped at first. Such a
+    state is in equilibrium wherever the body is, so the loads need not act for it to be wrong.
+    """
+    contact, comm = trial.contact, problem.comm
+    overlaps = -contact.gaps.openings(np.zeros_like(trial.jump)).min(axis=1)
+    openings = contact.gaps.openings(trial.jump).max(axis=1)
+    for i, c in enumerate(problem.scene.parting_interfaces):
+        if not c.press_fit:
+            continue
+        at_interface = contact.local.interface == i
+        touches = bool((trial.forces.status[at_interface] != OPEN).any())
+        overlap, opening = (
+            max(comm.allgather(float(values[at_interface].max(initial=0.0))))
+            for values in (overlaps, openings)
+        )
+        if any(comm.allgather(touches)) or not 0 < overlap < opening:
+            continue
+        floating = texts_of_floating_bodies(problem, trial)
+        if floating:
+            message = (
+                f"the interference of interface '{c.name}', up to {1e3 * overlap:.3g} um, pushed"
+                " its sides apart: they touch nowhere"
+            )
+            texts = "; ".join([*floating, message])
+            return Verdict(texts, remedy=HOLD_REMEDY, code=Reason.FLOATING_BODY)
+    return None
+
+
 def warnings_of_floating_bodies(problem: Problem, trial: TrialState) -> list[Verdict]:
     """Warnings on bodies that nothing holds within their gaps in a converged state; collective.
 

@@ -24,7 +24,11 @@ from app.numerics.remedies import solve
 from app.scene.scene import Stage
 from app.soundness.cover import Cover
 from app.soundness.failure import explanation_of_failure, is_proportional
-from app.soundness.floating_bodies_of_state import error_of_body_held_by_facets, error_of_runaway
+from app.soundness.floating_bodies_of_state import (
+    error_of_body_held_by_facets,
+    error_of_expelled_body,
+    error_of_runaway,
+)
 from app.stepping.advance import Progress, Step, advance
 from app.stepping.energy_control import (
     HALVINGS,
@@ -219,7 +223,7 @@ class LoadStepper:
             ends_increment: True if it ends an increment of the stage.
 
         Raises:
-            ConvergenceError: A body runs away or tips.
+            ConvergenceError: A body runs away, is pushed out or tips.
         """
         problem = self.problem
         u, q = self.solver.u_and_q()
@@ -230,6 +234,7 @@ class LoadStepper:
             verdict = (
                 error_of_body_held_by_facets(problem, trial)
                 or error_of_runaway(problem, trial)
+                or error_of_expelled_body(problem, trial)
                 or self._cover.pressed_beyond_rim(trial)
             )
             if verdict:

@@ -341,12 +341,23 @@ def test_press_fit_findings_say_areas_and_strains() -> None:
     q = {"area": 200.0, "area_micromotion_over_40um": 50.0, "area_micromotion_over_150um": 2.0}
     (verdict,) = _ingrowth({"interfaces": {"stem_bone": q, "other": {"area": 1.0}}})
     assert verdict.what.startswith("75 % of stem_bone moves less than 40 µm, 1 % more than 150 µm")
-    assert "so it has a permanent part. Give the last stage" in verdict.what
+    assert "so it has a permanent part. To see the" in verdict.what
     assert "beyond" not in verdict.what
     q |= {"area_inducible_over_40um": 20.0, "area_inducible_over_150um": 0.0}
     (verdict,) = _ingrowth({"interfaces": {"stem_bone": q}})
     assert verdict.what.startswith("90 % of stem_bone moves less than 40 µm, 0 % more")
     assert "inducible, from the last valley to the last peak" in verdict.what
+
+
+def test_press_fit_ingrowth_counts_the_rim_apart() -> None:
+    """A coating is at the rim, which moves most: its areas are not those of the rest."""
+    q = {"area": 200.0, "area_micromotion_over_40um": 0.0, "area_micromotion_over_150um": 0.0}
+    rim = {"area": 20.0, "area_micromotion_over_40um": 15.0, "area_micromotion_over_150um": 5.0}
+    (verdict,) = _ingrowth({"interfaces": {"stem_bone": q | {"rim": rim, "tip": {"area": 3.0}}}})
+    assert verdict.what.startswith(
+        "100 % of stem_bone without its rim and tip moves less than 40 µm, 0 % more than 150 µm;"
+        " 25 % of its rim moves less than 40 µm, 25 % more than 150 µm. "
+    )
 
 
 def test_press_fit_ingrowth_states_the_area_that_does_not_touch_bone() -> None:

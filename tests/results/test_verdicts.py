@@ -64,7 +64,7 @@ def test_verdicts_on_singular_pressure() -> None:
     words, tone = judged(numbers)["pressure"]
     assert words == (
         "the maximum on stem_cement, 9.00 ± 9.00 MPa, is at a ridge or an edge; averaged over the "
-        "area of a node the pressure is at most 5.90 MPa"
+        "area of a node on one face the pressure is at most 5.90 MPa"
     )
     assert tone == "warning"
     numbers["interfaces"]["stem_cement"]["pressure_mean_max"] = 6.1
