@@ -25,7 +25,7 @@ UNITS = {
     "W/m^2": "a heat flux",
     "W/(m^2 K)": "an entropy production",
     "min": "a thermal dose",
-    "1/year": "a rate",
+    "1/year": "an annual rate",
     "1/s": "a rate",
     "-": "a number",
 }

@@ -308,6 +308,14 @@ class Solver:
             for p, s in zip(measures, earlier_scales, strict=True)
         ]
 
+    def jacobian(self) -> PETSc.Mat:
+        """Assemble the Jacobian at the current state; collective.
+
+        A condensed solver leaves it as it was: it iterates on the reduced system.
+        """
+        self.linear.update(self.blocks())
+        return self.linear.matrix
+
     # Iterations
 
     def run(self) -> tuple[int, int]:

@@ -208,7 +208,8 @@ class ContactSamples:
             if c.off_bone is not None:
                 opening[(corners.interface == i) & c.off_bone(self.x)] = 0.0
         self.gap = np.where(is_face, opening, 0.0)
-        self.opening = np.max(opening, axis=1, where=is_face, initial=-np.inf)
+        largest = np.max(opening, axis=1, where=is_face, initial=-np.inf)
+        self.opening = np.where(corners.faces > 0, largest, 0.0)  # supports may hold both sides
         # The law holds at the contact points. Some of them have the mean jump of several corners.
         self.penetration = contact.gather(overlap_of_faces(trial))
         self.interface_of_contact_point = points.interface

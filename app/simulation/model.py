@@ -15,7 +15,7 @@ import meshes
 from app.case.case import Case
 from app.case.summary import Summary, merge
 from app.foundation.collective import agree, on_root
-from app.foundation.errors import ConvergenceError, GeometryError
+from app.foundation.errors import ConvergenceError, GeometryError, InputError
 from app.foundation.verdict import Verdict
 from app.mechanics.contact import TrialState
 from app.mechanics.predictors import Predictor, WarmStart
@@ -433,7 +433,7 @@ class Model:
         """Numbers of a companion case, or None and why it cannot be solved; collective."""
         try:
             return self.numbers_of_companion(case), ""
-        except (ConvergenceError, GeometryError) as failure:
+        except (ConvergenceError, GeometryError, InputError) as failure:
             agree(self.tagged.mesh.comm, failure)
             return None, str(failure).splitlines()[0]
 

@@ -348,11 +348,12 @@ class _CaseRun:
         return summary, notes
 
     def _add_condition_number(self, summary: Summary) -> None:
-        """Add the condition number of the last Jacobian, if requested; collective."""
+        """Add the condition number of the Jacobian at the last state, if requested; collective."""
         mechanics = self._model.mechanics
         if self._case.output.condition and mechanics:
-            A = mechanics.solver.snes.getJacobian()[0]
-            summary["solver"]["condition"] = condition_number(A)
+            # The numbers are on disk before a factorization that may need too much memory.
+            self._writer.finish(summary, complete=False)
+            summary["solver"]["condition"] = condition_number(mechanics.solver.jacobian())
 
     def _add_errors(self, summary: Summary, notes: list[Verdict]) -> None:
         """Add estimated errors, if requested; collective."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.case.number_text import Number
+from app.case.number_text import UNITS, Number
 
 
 @pytest.mark.parametrize(
@@ -20,3 +20,9 @@ from app.case.number_text import Number
 )
 def test_number_text_digits_follow_errors(number: Number, text: str) -> None:
     assert str(number) == text
+
+
+def test_number_text_dimensions_of_units_are_distinct() -> None:
+    """Section ``units`` of a summary has one unit for each dimension."""
+    dimensions = list(UNITS.values())
+    assert len({*dimensions}) == len(dimensions)

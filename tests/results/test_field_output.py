@@ -157,3 +157,21 @@ def test_field_output_extrapolates_linear_fields_to_nodes() -> None:
     one = rng.random((4, 1, 6))
     expected = np.broadcast_to(one, (4, 10, 6))
     np.testing.assert_allclose(extrapolated(one, inside[:1], nodes), expected)
+
+
+def test_field_output_gap_is_finite_where_supports_hold_both_sides(tmp_path: Path) -> None:
+    """Contact has no faces at points whose two sides have prescribed displacements."""
+    case = f"""{support.TWO_BLOCKS}
+regions:
+  lower: {{youngs_modulus: 1 GPa, poisson_ratio: 0.3}}
+  upper: {{youngs_modulus: 1 GPa, poisson_ratio: 0.3}}
+interfaces: {{lower_upper: {{kind: contact, friction_coefficient: 0.3}}}}
+supports:
+  lower: {{kind: fixed, boundary: lower_x_min}}
+  upper: {{kind: fixed, boundary: upper_x_min}}
+loads: {{pull: {{kind: pressure, boundary: top, pressure: -1 MPa}}}}
+stages: [{{name: pull}}]
+"""
+    run = support.run(case, tmp_path)
+    gap = run.fields.on_points("lower_upper_gap")
+    assert np.isfinite(gap).all() and gap.max() > 0

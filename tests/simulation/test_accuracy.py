@@ -13,6 +13,7 @@ from app.case.error_classes import MOTION_ERRORS
 from app.cli import main
 from app.foundation.errors import InputError
 from app.simulation import accuracy
+from app.simulation.model import Model
 from app.soundness import cost, memory
 from tests import support
 from tests.cases.blocks import STACK
@@ -84,3 +85,17 @@ def test_accuracy_reached_is_reported(tmp_path: Path, capsys: pytest.CaptureFixt
     mesh = load_case(out / "case.yaml").config.mesh
     assert f"target of 40 %: {mesh.size:g} mm at order {mesh.order} (" in summary["accuracy"]
     assert summary["accuracy"] in capsys.readouterr().out
+
+
+def test_accuracy_companion_that_does_not_fit_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A gauge or a probe may not fit the coarser mesh of a companion; the run has its numbers."""
+
+    def refuse(model: Model, case: Case) -> None:
+        raise InputError("output.probes.gauge: the surface bends below it")
+
+    monkeypatch.setattr(Model, "numbers_of_companion", refuse)
+    summary = support.run(STACK, tmp_path).summary
+    assert summary["status"] == "converged" and summary["error"]["companions"] == []
+    assert summary["error"]["failed"]
