@@ -228,7 +228,8 @@ class Model:
             petsc={**options.petsc, **self.options},
             augmentation_factor=options.augmentation_factor,
             solves=self._runs * cost.contact_solves(case),
-            memory=memory.available_memory(),
+            # The same on all ranks: machines may differ, and it decides on the solver.
+            memory=self.tagged.mesh.comm.allreduce(memory.available_memory(), MPI.MIN),
             stop=self.stop,
         )
         place = self.scene, self.tagged, settings, self._timing
