@@ -55,9 +55,9 @@ FEW_POINTS = 0.01
 FINE_TOLERANCE = 0.01
 # Power with which the tolerance falls with the residual (Eisenstat and Walker 1996).
 TOLERANCE_POWER = (1 + math.sqrt(5)) / 2
-# Residual below which the next is a multiple of its square, if no states change.
+# Residual below which Newton's method converges quadratically, if no states change.
 QUADRATIC_RANGE = 0.01
-# That multiple.
+# The next residual is this number times the square of the last one.
 QUADRATIC_FACTOR = 100.0
 # Absolute tolerance of the linear solver over that of Newton.
 ABSOLUTE_TOLERANCE = 0.3
