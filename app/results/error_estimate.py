@@ -176,7 +176,8 @@ class _Solution:
 def companions(case: Case) -> tuple[Companion, ...]:
     """Companion runs that the error estimate of a case needs; none unless it asks for one.
 
-    The mesh of a ``.msh`` file cannot be made coarser: only its step error is estimated.
+    A mesh from a file cannot be made coarser, unless a ``.geo`` script makes it: only its step
+    error is estimated.
     """
     if not case.output.error:
         return ()

@@ -123,7 +123,7 @@ class Model:
         options: Raw PETSc options from the command line.
         stop: Returns the name of a pending stop signal, or "".
         reuse: An earlier model with the same options. Its meshes are reused, and its mechanics
-            too if loads and laws alone differ; it must not be used afterwards.
+            too if loads and laws alone differ; these are then at rest again.
         judged: True to check whether the case is well-posed on its mesh.
         runs: Number of runs that may follow on the same matrices, this one included.
 

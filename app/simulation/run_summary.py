@@ -73,7 +73,7 @@ def solver_numbers(model: Model, steps: int, effort: Effort, rejected: int | Non
         model: The model.
         steps: Number of recorded steps.
         effort: Iterations of the run.
-        rejected: Attempts that were not committed; None if the run has failed.
+        rejected: Attempts that were not committed; None if the run has not ended.
     """
     sizes = model.sizes()
     contact = model.mechanics.problem.contact if model.mechanics else None
