@@ -1,7 +1,7 @@
 """The run directory: fields, history, summary, provenance, and the marker of completion.
 
 Files are written under a temporary name and then renamed; fields are appended to one file. Only a
-directory with the file ``DONE`` is a result. Rank 0 writes, and its errors are raised on every rank.
+directory with the file ``DONE`` is a result. Rank 0 writes. Its errors are raised on every rank.
 """
 
 from __future__ import annotations
