@@ -2,9 +2,9 @@
 
 Room is measured as in `room`. The excess of a point is its room less the thickness that is wanted
 there. At each step it is made linear in the five numbers of the position, within a trust region:
-the largest least excess is then a linear program (scipy's HiGHS). Room beyond the wanted thickness
-does not count, so a stem with enough room is not moved. Of positions with equal excess the one
-nearest to the start is taken.
+the largest least excess is then a linear program (scipy's HiGHS). Room counts up to
+`COUNTED_RESERVE` above the wanted thickness, so a stem with enough room is not moved. A change that
+gains less than `ROOM_PER_CHANGE` is not worth it, so the position stays near the start.
 """
 
 from __future__ import annotations
@@ -280,7 +280,7 @@ def _search(geometry: OperatedHip, insertion: Insertion) -> tuple[list[float], s
 
 
 def _rounded_angle(angle: float) -> float:
-    """An angle rounded to a tenth of a degree, within the limits of tilts [rad]."""
+    """An angle rounded to a tenth of a degree [rad]."""
     return math.radians(round(math.degrees(angle), ANGLE_DIGITS))
 
 

@@ -192,7 +192,8 @@ class PointLaws:
         self.layer_share = np.linalg.inv(np.eye(3) + softer)
         self.unscaled_augmentation = self._layer_stiffness.copy()
         for law, has_law in self._laws:
-            # An r above the layer's stiffness would make `multiplier_share` negative.
+            # An r above the layer's stiffness would make `multiplier_share` negative. Remedies may
+            # still multiply it.
             r = law.augmentation_of(self.softest_stiffness[has_law], self._factor)
             self.unscaled_augmentation[has_law] = np.minimum(r, self._layer_stiffness[has_law])
         self.scale_augmentation(self._augmentation_scale)
