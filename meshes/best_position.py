@@ -2,9 +2,9 @@
 
 Room is measured as in `room`. The excess of a point is its room less the thickness that is wanted
 there. At each step it is made linear in the five numbers of the position, within a trust region:
-the largest least excess is then a linear program (scipy's HiGHS). Room beyond the wanted thickness
-does not count, so a stem with enough room is not moved. Of positions with equal excess the one
-nearest to the start is taken.
+the largest least excess is then a linear program (scipy's HiGHS). Room counts up to
+`COUNTED_RESERVE` above the wanted thickness, so a stem with enough room is not moved. A change that
+gains less than `ROOM_PER_CHANGE` is not worth it, so the position stays near the start.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from meshes.room import StemSurface, WidestCanal
 if TYPE_CHECKING:
     from app.case.hips import Hip, Insertion, OperatedHip, Search
 
-SEARCH_VERSION = 2  # raise it whenever the same input gives another position
+SEARCH_VERSION = 3  # raise it whenever the same input gives another position
 NUMBERS = ("varus", "flexion", "version", "medial", "anterior")
 ROOM_PER_CHANGE = 0.05  # mm of room for which a number may go as far as its limit
 FIRST_TRUST = 0.3  # of the limits: first size of the trust region
@@ -98,6 +98,8 @@ def roomiest_position(
         scale[TILT_NUMBERS], MOST_TILT - np.abs(start_numbers[TILT_NUMBERS])
     )
     free = np.flatnonzero(scale > 0)
+    if not len(free):
+        return start
 
     def changed(u: Floats) -> Position:
         return replace(
@@ -234,6 +236,8 @@ def _search(geometry: OperatedHip, insertion: Insertion) -> tuple[list[float], s
         round(best_position.medial, LENGTH_DIGITS),
         round(best_position.anterior, LENGTH_DIGITS),
     )
+    kept = [name for name in NUMBERS if getattr(best_position, name) == getattr(start, name)]
+    rounded = replace(rounded, **{name: getattr(start, name) for name in kept})
     # Rounding may cost more than the search gained.
     excess_at_start, excess_rounded = (
         _excess(canal, stem, candidate, mantle_thickness)[0].min() for candidate in (start, rounded)
@@ -276,7 +280,7 @@ def _search(geometry: OperatedHip, insertion: Insertion) -> tuple[list[float], s
 
 
 def _rounded_angle(angle: float) -> float:
-    """An angle rounded to a tenth of a degree, within the limits of tilts [rad]."""
+    """An angle rounded to a tenth of a degree [rad]."""
     return math.radians(round(math.degrees(angle), ANGLE_DIGITS))
 
 

@@ -1,8 +1,9 @@
 r"""Friction of finite sliding through its cycles: torque, position, slid distance, wear and power.
 
 Wear follows Archard's law, a depth :math:`k \int p\,ds` on either side. This is k/μ times the
-energy dissipated per area. It is known at the slave's points. The nodes of the master receive it in
-the master's axes, where both sides touch in the middle of each step.
+energy dissipated per area, with the friction coefficient μ of the point. It is known at the slave's
+points. The nodes of the master receive it in the master's axes, where both sides touch in the
+middle of each step.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from app.stepping.load_steps import LoadStep, OnStep
 MILLION = 1e6
 # Watts per unit of power [N mm/s].
 MILLIWATT = 1e-3
-# Points per facet from which slid distance and energy are handed to the master.
+# Points per facet from which slid distance, energy and wear are handed to the master.
 SAMPLES = 12
 
 # Published numbers of an interface: scalars, and vectors as lists.
@@ -193,6 +194,9 @@ class Bearing:
         self.triangles = (self.surface.triangles,)
         self._period = problem.scene.period
         self._effusivity = _effusivity(case, (c.master, c.slave))
+        friction_at = c.constants.get("μ")
+        x = points.x[self._rows]
+        self._friction: Floats = np.zeros(len(x)) if friction_at is None else friction_at(x)
         self.numbers: Numbers = {}
         self.time = self.cycle_start = 0.0
         self._centre = np.array(self._motion.about if self._motion else np.zeros(3))
@@ -200,10 +204,11 @@ class Bearing:
         # last two.
         self.cycle_rows: list[list[float]] = []
         self.last_cycles: list[list[list[float]]] = []
-        # Energy [N mm] and slid distance times area [mm3]: at points after the last step, before
-        # the cycle, and of the last cycle; at the master's nodes of this cycle, and of the last.
-        self.slave_amounts = np.zeros((len(self._rows), 3, 2))
-        self.master_amounts = np.zeros((len(self.dof), 2, 2))
+        # Energy [N mm], slid distance times area [mm3], normal force times slid distance [N mm]: at
+        # points after the last step, before the cycle, and of the last cycle; at the master's nodes
+        # of this cycle, and of the last.
+        self.slave_amounts = np.zeros((len(self._rows), 3, 3))
+        self.master_amounts = np.zeros((len(self.dof), 2, 3))
         # True at points that have faced no master after some step.
         self.uncovered = np.zeros(len(self._rows), dtype=bool)
 
@@ -226,10 +231,8 @@ class Bearing:
         centre, peak = self._translation(), rows[int(np.argmax(samples.pressure[rows]))]
         if motion and np.isfinite(scene.moduli[motion.region]):  # deforms in the axes of the body
             centre = rotation @ centre
-        dissipation_and_path = np.column_stack(
-            [samples.dissipation[rows], self._weight * samples.path[rows]]
-        )
-        dose = (dissipation_and_path - self.slave_amounts[:, 0]) / self._slave.areas[:, None]
+        amounts = self._amounts(samples)
+        dose = (amounts - self.slave_amounts[:, 0]) / self._slave.areas[:, None]
         slave_samples = self._slave.sample_density(dose, SAMPLES, arm @ mid_rotation + self._centre)
         self.master_amounts[:, 0] += self.surface.deposit(*slave_samples)
         feet = arm @ rotation + self._centre
@@ -237,7 +240,7 @@ class Bearing:
         self.uncovered |= ~self.surface.faces(
             feet, self._slave.normals @ rotation, facet, barycentric
         )
-        self.slave_amounts[:, 0], self.time = dissipation_and_path, time
+        self.slave_amounts[:, 0], self.time = amounts, time
         self.numbers = {
             "centre": [float(v) for v in centre],
             "eccentricity": float(np.linalg.norm(centre)),
@@ -256,13 +259,23 @@ class Bearing:
         row = (phase - self.cycle_start, *torque, *centre, energy)
         self.cycle_rows.append([float(v) for v in row])
         if ends_increment and stage.is_peak(time):
-            self.slave_amounts[:, 2] = dissipation_and_path - self.slave_amounts[:, 1]
-            self.slave_amounts[:, 1] = dissipation_and_path
+            self.slave_amounts[:, 2] = amounts - self.slave_amounts[:, 1]
+            self.slave_amounts[:, 1] = amounts
             self.master_amounts[:, 1] = self.master_amounts[:, 0]
             self.master_amounts[:, 0] = 0.0
             self.last_cycles = [*self.last_cycles[-1:], self.cycle_rows]
             self.cycle_rows = []
             self.cycle_start = phase
+
+    def _amounts(self, samples: Samples) -> Floats:
+        """The columns of `slave_amounts` at points after a step (n, 3)."""
+        rows, before = self._rows, self.slave_amounts[:, 0]
+        energy, slid = samples.dissipation[rows], self._weight * samples.path[rows]
+        # Without friction no energy tells how far the normal force slid.
+        force_times_slid = before[:, 2] + samples.pressure[rows] * (slid - before[:, 1])
+        has_friction = self._friction > 0
+        np.divide(energy, self._friction, out=force_times_slid, where=has_friction)
+        return np.column_stack([energy, slid, force_times_slid])
 
     def _translation(self) -> Floats:
         """Displacement of the master: the mean over its surface (3,) [mm]; collective."""
@@ -277,9 +290,10 @@ class Bearing:
     # Of a cycle
 
     def _per_area(self) -> tuple[Floats, Floats]:
-        """Energy [N/mm] and slid distance [mm] of a cycle at points (n, 2) and nodes (m, 2).
+        """Amounts per area of a cycle at points (n, 3) and nodes (m, 3).
 
-        Of the last whole cycle of the stage; of the first so far.
+        They are the energy [N/mm], the slid distance [mm], and pressure times slid distance [N/mm],
+        of the last whole cycle of the stage; of the first so far.
         """
         if self.last_cycles:
             slave, master = self.slave_amounts[:, 2], self.master_amounts[:, 1]
@@ -293,14 +307,11 @@ class Bearing:
 
         Both in mm.
         """
-        (energy, slid), (master_energy, master_slid) = (amounts.T for amounts in self._per_area())
-        fields, law = {"slid": (slid, master_slid)}, self._interface.law
-        k = wear_coefficient_of(law)
+        slave, master = self._per_area()
+        fields = {"slid": (slave[:, 1], master[:, 1])}
+        k = wear_coefficient_of(self._interface.law)
         if k is not None:
-            fields["wear"] = (
-                k / law.largest_friction * energy,
-                k / law.largest_friction * master_energy,
-            )
+            fields["wear"] = k * slave[:, 2], k * master[:, 2]
         return fields
 
     def cycle(self) -> dict[str, float]:

@@ -240,7 +240,7 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
     "--gif": dict(
         type=Path,
         metavar="FILE",
-        help="write the recorded steps of a run as a film: FILE.gif, or FILE.mp4 with ffmpeg",
+        help="write the recorded steps of a run as a film: .gif, or .mp4 with ffmpeg",
     ),
     "--field": dict(
         metavar="NAME",

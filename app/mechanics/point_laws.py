@@ -69,7 +69,8 @@ class PointLaws:
 
     Attributes:
         law_can_open: True where the law can open (n,).
-        law_has_friction: True where the law has friction (n,).
+        friction_coefficient: Friction coefficient (n,) [-]; 0 without friction.
+        law_has_friction: True where the friction coefficient is above 0 (n,).
         law_is_contact: True where the law is contact, so that the slip follows from the jump; False
             where the law returns the slip (n,).
         law_has_contact: True where the law is contact, or has contact of the debonded area (n,).
@@ -123,7 +124,11 @@ class PointLaws:
             return np.array([of_law(law) for law in laws])[points.interface]
 
         self.law_can_open = at_points(lambda law: law.can_open)
-        self.law_has_friction = at_points(lambda law: law.largest_friction > 0)
+        self.friction_coefficient = at_points(lambda law: law.largest_friction)
+        for law, has_law in self._laws:
+            if "μ" in (law.debonded_contact or law).constants:
+                self.friction_coefficient[has_law] = values["μ"][has_law]
+        self.law_has_friction = self.friction_coefficient > 0
         self.law_is_contact = at_points(lambda law: law.is_contact)
         self.law_has_contact = at_points(
             lambda law: law.is_contact or law.debonded_contact is not None
@@ -187,7 +192,8 @@ class PointLaws:
         self.layer_share = np.linalg.inv(np.eye(3) + softer)
         self.unscaled_augmentation = self._layer_stiffness.copy()
         for law, has_law in self._laws:
-            # An r above the layer's stiffness would make `multiplier_share` negative.
+            # An r above the layer's stiffness would make `multiplier_share` negative. Remedies may
+            # still multiply it.
             r = law.augmentation_of(self.softest_stiffness[has_law], self._factor)
             self.unscaled_augmentation[has_law] = np.minimum(r, self._layer_stiffness[has_law])
         self.scale_augmentation(self._augmentation_scale)

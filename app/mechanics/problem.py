@@ -19,7 +19,7 @@ with
   `PointLaws.evaluate` from `InterfaceLaw.response`). `mechanics.contact` has the law F = P(S).
 - In rows that supports prescribe, r_u is the deviation from their values (`Stiffness.prescribed`).
 
-`mechanics.systems` adds the Jacobian. Heat changes f alone; the
+`mechanics.systems` adds the Jacobian. Heat changes f, and K, C and D of regions that set; the
 pressures and friction of `trial` change the heat (`stepping.contact_heat`), whose equations are in
 `heat.implicit_step`.
 """

@@ -345,11 +345,15 @@ class Solver:
         )
 
     def _run_reduced(self, solver: Solver, system: Reduced) -> int:
-        """Iterate on the reduced system, from and to the current state; return the iterations."""
+        """Iterate on the reduced system, from and to the current state; return the iterations.
+
+        The state stays if the reduced system ends with one that is not finite.
+        """
         solver.residuals, solver.changes, solver.tolerance = [], [], self.tolerance
         system.begin(self.blocks(), self.tolerance).copy(solver.x)
         iterations, _ = solver.run()
-        system.end(self.blocks(), solver.x)
+        if np.isfinite(solver.x.norm()) and np.isfinite(solver.residuals[-1:]).all():
+            system.end(self.blocks(), solver.x)
         self.residuals += solver.residuals
         self.changes += solver.changes
         return iterations

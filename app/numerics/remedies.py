@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterator
-from contextlib import AbstractContextManager
+from collections.abc import Generator, Iterator
+from contextlib import AbstractContextManager, closing
 
 from petsc4py import PETSc
 
@@ -36,7 +36,22 @@ SMALL_AUGMENTATION = 0.05
 
 
 def solve(solver: Solver) -> NewtonResult:
-    """Solve a system at its current time from the solver's current state; collective."""
+    """Solve a system at its current time from the solver's current state; collective.
+
+    If an error or a signal interrupts a remedy, line search, laws and augmentation are those of
+    before.
+    """
+    contact, augmentation = solver.system.contact, solver.augmentation
+    try:
+        return _solve_with_remedies(solver)
+    except BaseException:
+        solver.augmentation = augmentation
+        if contact:
+            contact.laws.scale_augmentation(augmentation)
+        raise
+
+
+def _solve_with_remedies(solver: Solver) -> NewtonResult:
     contact = solver.system.contact
     solver.system.impose(solver.blocks())
     solver.residuals, solver.changes = [], []
@@ -53,13 +68,14 @@ def solve(solver: Solver) -> NewtonResult:
     runs.append(solver.run())
     solver.x.copy(solver.first_state)
     tried: list[tuple[str, float]] = []
-    for remedy in remedies(solver, start):
-        if remedy:
-            log.info("     %s: %s", failure_text(solver), remedy)
-        runs.append(solver.run())
-        if remedy:
-            # A converged run that is not the last one solved a problem with switched contact.
-            tried.append((remedy, math.inf if solver.converged else solver.residuals[-1]))
+    with closing(remedies(solver, start)) as applied_remedies:
+        for remedy in applied_remedies:
+            if remedy:
+                log.info("     %s: %s", failure_text(solver), remedy)
+            runs.append(solver.run())
+            if remedy:
+                # A converged run that is not the last one solved a problem with switched contact.
+                tried.append((remedy, math.inf if solver.converged else solver.residuals[-1]))
     augmentation = solver.augmentation
     if (
         contact
@@ -114,10 +130,11 @@ def _refine(solver: Solver, contact: SolvedContact) -> tuple[float, tuple[int, i
     return solver.augmentation, iterations
 
 
-def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
+def remedies(solver: Solver, start: PETSc.Vec) -> Generator[str]:
     """Apply one remedy after the other until Newton has converged; yield each in words.
 
-    An empty text is a further run of the last remedy. It is neither logged nor recorded.
+    An empty text is a further run of the last remedy. It is neither logged nor recorded. Closing
+    the generator undoes switches and the line search.
 
     1. Interfaces that have to close before a body is held are constrained, then released. A body
        with clearance, or one that touches along an edge only, thus comes into contact.
@@ -257,8 +274,10 @@ def _with_other_search(solver: Solver) -> Iterator[str]:
     if not cannot_continue(solver):
         other_search = "basic" if solver.usual_search == "bt" else "bt"
         solver.use_search(other_search)
-        yield "full Newton steps" if other_search == "basic" else "line search"
-    solver.use_search(solver.usual_search)
+        try:
+            yield "full Newton steps" if other_search == "basic" else "line search"
+        finally:
+            solver.use_search(solver.usual_search)
 
 
 def cannot_continue(solver: Solver) -> bool:

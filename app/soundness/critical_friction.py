@@ -93,10 +93,11 @@ class CriticalFriction:
 
     Attributes:
         interface: Its name.
-        friction: Friction coefficient of its law.
-        smallest: Smallest critical coefficient of its points.
+        friction: Largest friction coefficient of the points beyond their critical one; of all
+            points if there are none.
+        smallest: Smallest critical coefficient of its points with friction.
         x: Point with the smallest critical coefficient [mm].
-        points_beyond: Number of points whose critical coefficient is below the friction.
+        points_beyond: Number of points whose critical coefficient is below their friction.
     """
 
     interface: str
@@ -127,19 +128,19 @@ def critical_friction_of_interfaces(problem: Problem) -> list[CriticalFriction]:
     if contact is None or not any(c.law.largest_friction for c in problem.scene.parting_interfaces):
         return []
     of_interfaces = []
-    critical = critical_friction_of_points(contact)
+    critical, friction = critical_friction_of_points(contact), contact.laws.friction_coefficient
     for i, c in enumerate(problem.scene.parting_interfaces):
-        at_interface = np.flatnonzero(contact.local.interface == i)
+        at_interface = np.flatnonzero((contact.local.interface == i) & (friction > 0))
         local_smallest: tuple[float, tuple[float, ...]] = (np.inf, ())
         if len(at_interface):
             k = at_interface[np.argmin(critical[at_interface])]
             local_smallest = float(critical[k]), tuple(contact.local.x[k])
         smallest, x = min(problem.comm.allgather(local_smallest))
-        points_beyond = int((critical[at_interface] < c.law.largest_friction).sum())
-        points_beyond = problem.comm.allreduce(points_beyond, MPI.SUM)
-        if c.law.largest_friction == 0 or not np.isfinite(smallest):
-            continue
-        of_interfaces.append(
-            CriticalFriction(c.name, c.law.largest_friction, smallest, x, points_beyond)
-        )
+        beyond = at_interface[critical[at_interface] < friction[at_interface]]
+        points_beyond = problem.comm.allreduce(len(beyond), MPI.SUM)
+        counted = beyond if points_beyond else at_interface
+        largest = float(friction[counted].max(initial=0.0))
+        largest = problem.comm.allreduce(largest, MPI.MAX)
+        if np.isfinite(smallest):
+            of_interfaces.append(CriticalFriction(c.name, largest, smallest, x, points_beyond))
     return of_interfaces

@@ -141,11 +141,12 @@ def _owned_nodes(problem: Problem) -> Floats:
 
 
 def _holding_friction(problem: Problem) -> Floats:
-    """Friction coefficients of the interfaces that may hold a body (i,)."""
+    """Friction coefficients of local points that may hold a body (p,)."""
+    contact = problem.contact
+    assert contact is not None
     # Friction with finite sliding does not hold a body: a ball can leave its cup.
-    return np.array(
-        [0.0 if c.between else c.law.largest_friction for c in problem.scene.parting_interfaces]
-    )
+    slides = np.array([bool(c.between) for c in problem.scene.parting_interfaces])
+    return np.where(slides[contact.local.interface], 0.0, contact.laws.friction_coefficient)
 
 
 def _texts_of_unborne_motion(problem: Problem, motion: Floats, pressures: Floats) -> list[str]:
@@ -165,7 +166,7 @@ def _texts_of_unborne_motion(problem: Problem, motion: Floats, pressures: Floats
     jump = contact.motions.relative(motion[:, None])[:, :, 0]
     closing = np.maximum(0.0, -local.along_normals(jump))
     facet_friction = LIKELY_MULTIPLE * contact.points.normal_error[local.rows]
-    friction = _holding_friction(problem)[local.interface] + facet_friction
+    friction = _holding_friction(problem) + facet_friction
     sliding_resistance = friction * np.linalg.norm(jump, axis=1)
     resisted = problem.comm.allreduce(
         float((pressures * (closing + sliding_resistance[:, None])).sum())
@@ -201,6 +202,7 @@ def warnings_of_sliding_bodies(problem: Problem, contact: ContactInterfaces) -> 
     """
     normal = np.linalg.norm(contact.state.force - contact.state.friction, axis=1)
     shear = np.linalg.norm(contact.state.friction, axis=1)
+    limit = contact.laws.friction_coefficient * normal
     fixed_bodies = {
         b
         for b, part in support_resistance_of_bodies(problem).items()
@@ -210,7 +212,7 @@ def warnings_of_sliding_bodies(problem: Problem, contact: ContactInterfaces) -> 
     verdicts = []
     for i, c in enumerate(problem.scene.parting_interfaces):
         is_pressed = (contact.local.interface == i) & (normal > 0)
-        slips = is_pressed & (shear >= FRICTION_LIMIT_FRACTION * c.law.largest_friction * normal)
+        slips = is_pressed & (shear >= FRICTION_LIMIT_FRACTION * limit)
         local = np.array(
             [contact.local.weight[slips].sum(), contact.local.weight[is_pressed].sum()]
         )
@@ -346,16 +348,15 @@ def texts_of_pulled_bodies(problem: Problem, contact: ContactInterfaces) -> list
         return []
     loads = unresisted.T @ _load_work_of_bodies(problem)
     jumps = contact.motions.relative(unresisted)
-    frictions = _holding_friction(problem)
     # Motions are scaled by their mean square jump: a narrow interface resists rolling.
     gram = comm.allreduce(np.einsum("pia,pib->ab", jumps, jumps))
     metric = gram / comm.allreduce(len(local)) + 1e-9 * np.eye(len(loads))
     scale = np.linalg.inv(np.linalg.cholesky(metric)).T
     # Bodies that friction holds may hide a frictionless slide. The second pass lets them stick.
-    mixed = frictions.min() == 0 < frictions.max()
-    may_stick = frictions[local.interface] > 0
+    may_stick = _holding_friction(problem) > 0
+    some_stick, some_slide = comm.allreduce(np.array([may_stick.sum(), (~may_stick).sum()])) > 0
     passes = [np.zeros_like(may_stick)]
-    if mixed:
+    if some_stick and some_slide:
         passes.append(may_stick)
     for stick in passes:
         springs, pressures = _compressed_springs(problem, contact, jumps, loads, stick)

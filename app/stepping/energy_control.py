@@ -173,7 +173,12 @@ class EnergyControl(MatrixFree):
         *x, load = solver.blocks()
         _copy(load_solver.blocks(), x)
         load.set(fraction)
-        newton, krylov = solver.run()
+        ksp = load_solver.snes.getKSP()
+        rtol, atol, *_ = ksp.getTolerances()
+        try:
+            newton, krylov = solver.run()
+        finally:
+            ksp.setTolerances(rtol=rtol, atol=atol)  # `setUp` has set others
         fraction = self._value(load)
         if solver.converged:
             self._set_load(min(fraction, 1.0))

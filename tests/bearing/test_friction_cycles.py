@@ -66,6 +66,27 @@ def test_friction_cycles_wear_follows_archard_on_both_sides(ball: Results) -> No
     assert result["wear_depth_max_million"] == pytest.approx(1e6 * worn[sides[0] > 0].max())
 
 
+@pytest.mark.parametrize("friction", [0.02, 0.0])
+def test_friction_cycles_wear_by_the_friction_of_each_zone(
+    friction: float, ball: Results, tmp_path: Path
+) -> None:
+    """A zone that covers the cup: its coefficient counts, not that of the interface.
+
+    The worn volume by Archard's law depends on pressure and slid distance, hardly on friction.
+    """
+    zone = f"{{all: {{above: -50 mm, friction_coefficient: {friction}}}}}"
+    result = support.run(CASE, tmp_path, f"interfaces.bearing.zones={zone}")
+    numbers = result.summary["interfaces"]["bearing"]
+    usual = ball.summary["interfaces"]["bearing"]["wear_volume"]
+    assert numbers["wear_volume"] == pytest.approx(usual, rel=0.05)
+    energy = numbers["wear_volume"] / WEAR * friction
+    assert numbers["dissipation_cycle"] == pytest.approx(energy, rel=1e-9, abs=1e-9)
+    run = Run(result.folder)
+    worn = run.on_points("bearing_wear")
+    volumes = [float(areas(run, name) @ worn) for name in ("liner", "head")]
+    assert volumes == pytest.approx([numbers["wear_volume"]] * 2, rel=1e-9)
+
+
 def test_friction_cycles_errors_cover_a_finer_mesh(tmp_path: Path) -> None:
     once = ("mesh.order=2", "stages=[{name: press}, {name: turn, increments: 6}]")
     meshes = {"fine": ("mesh.size=3 mm",), "coarse": ("output.error=true",)}

@@ -1,14 +1,24 @@
-"""Compiled laws: which files define them."""
+"""Compiled laws: which files define them; where they have friction."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from app.laws.contact_laws import Contact
 from app.laws.traction_laws import Traction
 from app.mechanics import point_laws
+from forms.contact import STICK
+from tests import support
+
+BLOCKS = f"""{support.TWO_BLOCKS}regions:
+  lower: {{youngs_modulus: 1000 MPa, poisson_ratio: 0.3}}
+  upper: {{youngs_modulus: 500 MPa, poisson_ratio: 0.3}}
+supports:
+  floor: {{kind: fixed, boundary: bottom}}
+"""
 
 
 def test_point_laws_are_compiled_again_if_a_formula_changes(
@@ -35,3 +45,18 @@ def test_point_laws_from_outside_are_always_compiled() -> None:
         """A law in a file of a user."""
 
     assert point_laws._note_file(Layer.model_construct(), "key") is None
+
+
+def test_point_laws_have_friction_by_point() -> None:
+    """A block slides freely on a zone without friction, whatever the interface has elsewhere."""
+    law = "interfaces.lower_upper={{kind: contact, friction_coefficient: {}, zones: {{all: {}}}}}"
+    found = {}
+    for friction, zone in ((0.3, 0.0), (0.0, 0.3)):
+        zone_text = f"{{above: 0 mm, friction_coefficient: {zone}}}"
+        case = support.case(BLOCKS, law.format(friction, zone_text))
+        contact = support.assemble(case)[0].contact
+        assert contact is not None
+        np.testing.assert_array_equal(contact.laws.friction_coefficient, zone)
+        status = np.full(len(contact.local), STICK)
+        found[zone] = contact.unresisted_motions(status).shape[1]
+    assert found == {0.0: 3, 0.3: 0}

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from app.case.geometries import Femur
@@ -51,6 +52,18 @@ def test_best_position_stays_within_limits_and_keeps_what_is_fixed() -> None:
     best = best_position.roomiest_position(canal, rod(5.0), START, limits, wanted)
     assert (best.varus, best.flexion, best.version) == (0.0, 0.0, 0.0)
     assert best.medial == pytest.approx(2.0, abs=1e-6)
+
+
+def test_best_position_with_nothing_free_is_the_given_one() -> None:
+    canal = room.canal_of(CUT, tube((6.0, 0.0), (0.0, 0.0)))
+    fixed = Limits(0.0, 0.0, 0.0, 0.0, 0.0)
+    assert best_position.roomiest_position(canal, rod(5.0), START, fixed, wanted) == START
+    given = {"varus": "0.04 deg", "flexion": "0.06 deg"}  # not rounded
+    none = {"varus": "0 deg", "flexion": "0 deg", "version": "0 deg", "offset": "0 mm"}
+    before = Femur.model_validate({"insertion": given})
+    after = Femur.model_validate({"insertion": given | {"best": none}})
+    np.testing.assert_array_equal(after.placement.rotation, before.placement.rotation)
+    np.testing.assert_array_equal(after.placement.foot, before.placement.foot)
 
 
 def test_best_position_with_enough_room_is_the_given_one() -> None:

@@ -92,6 +92,27 @@ def test_newton_line_search_ends_without_descent(tagged: TaggedMesh) -> None:
     assert solver.snes.getFunctionEvaluations() <= 12
 
 
+def test_newton_starts_anew_if_the_reduced_system_has_no_finite_residual(
+    tagged: TaggedMesh, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The whole system is then solved from the state before, not from NaN."""
+    problem, solver = support.assemble(support.case(BLOCK, "solver.linear=condensed"), tagged)
+    problem.set_time(1.0)
+    reduced = solver.reduced
+    assert reduced is not None
+    solver.system.impose(solver.blocks())
+
+    def run_to_nan() -> tuple[int, int]:
+        reduced.x.set(np.nan)
+        reduced.residuals, reduced.changes = [1.0, np.nan], [0, 0]
+        return 1, 0
+
+    monkeypatch.setattr(reduced, "run", run_to_nan)
+    iterations, _ = solver.run()
+    assert solver.converged and iterations > 1
+    assert np.isfinite(solver.x.norm())
+
+
 def test_newton_residual_that_is_not_finite_is_a_failure(tagged: TaggedMesh) -> None:
     """A start with an infinite residual is not used.
 

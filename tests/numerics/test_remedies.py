@@ -10,6 +10,7 @@ import pytest
 
 import mantle
 from app.case.case import load_case
+from app.foundation.errors import StoppedError
 from app.numerics.remedies import solve
 from app.results.reading import Results
 from meshes.distribute import TaggedMesh
@@ -65,6 +66,44 @@ def test_remedies_find_the_same_equilibrium_beyond_the_critical_friction(
         motions.append(record["cement_bone slip_max [mm]"])
     assert (motions[0] > 0).all()
     np.testing.assert_allclose(motions[1], motions[0], rtol=1e-4)
+
+
+def test_remedies_are_undone_if_a_solve_is_interrupted(
+    tagged: TaggedMesh, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A signal or an error in the middle of any remedy leaves the usual solver and laws."""
+    problem, solver = support.assemble(support.case(BLOCK), tagged)
+    contact = solver.system.contact
+    assert contact is not None
+    laws, of_remedies = contact.laws, contact.remedies
+    problem.set_time(1.0)
+    switches, augmentation = of_remedies.switches, laws.augmentation.copy()
+
+    def changes() -> tuple[str, bool, bool, float]:
+        now = of_remedies.switches
+        given = now.tresca_trial_force is not None
+        return solver._line_search, bool(now.opened.any()), given, float(laws.augmentation[0])
+
+    seen, run = {changes()}, solver.run
+
+    def interrupted_run() -> tuple[int, int]:
+        iterations = run()
+        if changes() not in seen:
+            seen.add(changes())
+            raise StoppedError("stopped")
+        return iterations
+
+    solver.snes.setTolerances(max_it=0)
+    monkeypatch.setattr(solver, "run", interrupted_run)
+    solver.begin(1e-10)
+    for _ in range(6):
+        with pytest.raises(StoppedError):
+            solve(solver)
+        assert solver._line_search == solver.usual_search
+        assert of_remedies.switches is switches
+        assert solver.augmentation == 1.0
+        np.testing.assert_array_equal(laws.augmentation, augmentation)
+    assert {search for search, *_ in seen} == {"bt", "basic"}
 
 
 def test_remedies_return_to_sor_after_a_converged_step(tagged: TaggedMesh) -> None:

@@ -8,7 +8,11 @@ import pytest
 from app.case.case import Case
 from app.foundation.arrays import Floats
 from app.foundation.verdict import Reason, Verdict
-from app.soundness.critical_friction import critical_friction, critical_friction_of_interfaces
+from app.soundness.critical_friction import (
+    CriticalFriction,
+    critical_friction,
+    critical_friction_of_interfaces,
+)
 from tests import support
 
 # Relative distance from the critical coefficient at which the two sides are distinguished.
@@ -161,6 +165,22 @@ def test_critical_friction_is_reported_only_beyond() -> None:
     assert "critical value at" in warning.what and "may not be unique" in warning.what
     assert warning.code is Reason.NOT_UNIQUE
     assert judged(0) == ({}, [])
+
+
+def test_critical_friction_is_compared_with_the_friction_of_zones() -> None:
+    """A zone that covers the interface has its own coefficient."""
+
+    def found(friction: float, of_zone: float) -> list[CriticalFriction]:
+        zone = f"{{all: {{above: 0 mm, friction_coefficient: {of_zone}}}}}"
+        law = f"{{kind: contact, friction_coefficient: {friction}, zones: {zone}}}"
+        case = support.case(STACK, f"interfaces.lower_upper={law}")
+        return critical_friction_of_interfaces(support.assemble(case)[0])
+
+    (below,) = found(100.0, 0.1)
+    assert below.points_beyond == 0 and not below.warnings()
+    (beyond,) = found(0.1, 100.0)
+    assert beyond.points_beyond > 0 and "coefficient 100 exceeds" in beyond.warnings()[0].what
+    assert found(100.0, 0.0) == []
 
 
 def test_critical_friction_uses_the_jump_block() -> None:

@@ -15,12 +15,21 @@ import pytest
 import meshes
 from app.foundation.errors import ConvergenceError, MantleError
 from app.foundation.verdict import Reason
-from app.soundness.floating_bodies_of_state import texts_of_pulled_bodies
+from app.soundness.floating_bodies_of_state import (
+    texts_of_pulled_bodies,
+    warnings_of_sliding_bodies,
+)
 from meshes import write_msh
 from meshes.distribute import distribute
 from tests import support
 from tests.cases.blocks import box
 
+ZONED = f"""{support.TWO_BLOCKS}regions:
+  lower: {{youngs_modulus: 1000 MPa, poisson_ratio: 0.3}}
+  upper: {{youngs_modulus: 500 MPa, poisson_ratio: 0.3}}
+supports:
+  floor: {{kind: fixed, boundary: bottom}}
+"""
 # A block on another, which is fixed; what holds the upper one is drawn.
 BLOCKS = """
 geometry:
@@ -411,3 +420,18 @@ def test_floating_bodies_of_state_stem_without_friction_is_free_for_any_friction
     )
     with pytest.raises(ConvergenceError, match=r"nothing holds body 'stem': .* along z, and the "):
         support.solve(support.STEM, *changes)
+
+
+@pytest.mark.parametrize(("of_zone", "warned"), [(0.1, True), (0.3, False)])
+def test_floating_bodies_slide_at_the_friction_of_zones(of_zone: float, warned: bool) -> None:
+    """Friction is a tenth of the pressure: the limit of a zone that covers the interface."""
+    zone = f"{{all: {{above: 0 mm, friction_coefficient: {of_zone}}}}}"
+    law = f"{{kind: contact, friction_coefficient: 0.5, zones: {zone}}}"
+    problem, _ = support.assemble(support.case(ZONED, f"interfaces.lower_upper={law}"))
+    contact = problem.contact
+    assert contact is not None
+    n = len(contact.local)
+    contact.state.friction = np.tile([0.1, 0.0, 0.0], (n, 1))
+    contact.state.force = np.tile([0.1, 0.0, 1.0], (n, 1))
+    warnings = warnings_of_sliding_bodies(problem, contact)
+    assert ["'upper'" in warning.what for warning in warnings] == [True] * warned

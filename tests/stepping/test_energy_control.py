@@ -10,6 +10,7 @@ import pytest
 
 from app.foundation.errors import InputError, MantleError
 from app.results.reading import Run
+from app.stepping.energy_control import EnergyControl, start_beyond_onset
 from tests import support
 from tests.support import CONFIGS
 
@@ -44,6 +45,20 @@ def test_energy_control_with_exponential_softening_and_unbonded_share(tmp_path: 
     support.run(BAR, tmp_path, *(f"interfaces.lower_upper.{change}" for change in law))
     used = np.asarray(Run(tmp_path / "out").step_record["lower_upper dissipation [N mm]"])
     assert used[-1] == pytest.approx(0.7 * 1.6, rel=1e-6)
+
+
+def test_energy_control_leaves_the_tolerances_of_load_steps() -> None:
+    """The linear solver serves both. A tolerance that the case gives is not set again."""
+    case = support.case(BAR, "solver.linear=direct", "solver.petsc.ksp_rtol=1e-3")
+    problem, solver = support.assemble(case)
+    tolerances = solver.snes.getKSP().getTolerances()
+    assert tolerances[0] == 1e-3
+    fraction = start_beyond_onset(problem, solver, 0.1, (0.0, 1.0), problem.set_time)
+    assert fraction is not None
+    before = solver.snes.getKSP().getTolerances()
+    outcome, _ = EnergyControl(problem, solver, problem.set_time).solve(0.1, fraction)
+    assert outcome.converged
+    assert solver.snes.getKSP().getTolerances() == before
 
 
 # The law of the program with linear softening, as a package of the user's.
