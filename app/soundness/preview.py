@@ -18,7 +18,7 @@ from app.foundation.layout import plain_text, several
 from app.foundation.verdict import Verdict, note
 from app.laws.cycle_tables import ROTATIONS
 from app.laws.interface_laws import insertion_stages
-from app.laws.values import MEMORY
+from app.laws.values import MEMORY, USUAL_INTERFERENCE
 from app.scene.scene import build_scene
 from app.schema.section import Section, added_keys, is_given
 from app.soundness.cost import solid
@@ -224,6 +224,8 @@ HIP_FORCES = (20.0, 5e4)
 PEAK = 0.95
 # Friction coefficient above which a note asks for its unit: porous metal in bone has 1.5.
 MOST_FRICTION = 5.0
+# Radial interference of bodies other than bone above which a note is given [mm].
+MUCH_INTERFERENCE = 0.1
 # Largest usual height of a stem's shoulder above the neck cut [mm].
 MOST_PROUD = 15.0
 
@@ -263,6 +265,7 @@ def input_notes(case: Case) -> list[Verdict]:
     notes += _without_effect(case)
     notes += _open_conductances(case)
     notes += _proud(case)
+    notes += _large_interferences(case)
     limits = dict.fromkeys(("temperature", "ambient"), TEMPERATURES)
     for name, condition in case.heat.items():
         notes += _far_off(f"heat.{name}", condition, limits)
@@ -458,6 +461,25 @@ def _proud(case: Case) -> Iterable[Verdict]:
             f"{MOST_PROUD:g} mm. Is geometry.tip_z or geometry.insertion.depth wrong?"
         )
         yield note(message, "geometry")
+
+
+def _large_interferences(case: Case) -> Iterable[Verdict]:
+    """Notes on large interferences where no bone is; those of bone are notes of `press_fit`."""
+    bones = {*case.of_tissue("bone")}
+    for name, law in case.interfaces.items():
+        first, second = case.geometry.interface_sides[name]
+        if bones.intersection((*first, *second)):
+            continue
+        for path, surface in law.gaps.items():
+            key, most = "interference", surface.interference
+            if isinstance(most, tuple):
+                most = max(length for _, length in most)
+            elif isinstance(surface.gap, float) and surface.gap < 0.0:
+                key, most = "gap", -surface.gap
+            if isinstance(most, float) and most > MUCH_INTERFERENCE:
+                place = ".".join(("interfaces", name, *path, key))
+                message = f"is an interference of {most:g} mm; strains may not be small"
+                yield note(message, place, f"usual: {USUAL_INTERFERENCE}, along the normal")
 
 
 def _far_off(place: str, part: Section | None, limits: Mapping[str, Range]) -> Iterable[Verdict]:
