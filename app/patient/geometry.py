@@ -106,7 +106,8 @@ class Canal(Outline):
     above that level, and from the parametric femur."""
     ream: Literal["none", "by", "broach"] = "none"
     """Reaming by the surgeon: none, by the same distance everywhere (`ream_by`), or as far as stem
-    and cement mantle need. At least 1.5 mm of cortex are left."""
+    and cement mantle need. It leaves 2.5 mm of cortex. A thinner cortex keeps its thickness, but at
+    least 1.5 mm."""
     ream_by: PositiveLength = 1.0
     """Distance by which the canal is widened with `ream: by`."""
 
