@@ -151,9 +151,9 @@ def write(
 
     Raises:
         InputError: There is not one femur, its scan is too short, or no stem fits; or the file
-            exists or cannot be written.
+            exists, or its folder does not.
     """
-    path = new_case.yaml(path)
+    path = new_case.new_file(path)
     bone = segmentation.femur_structure(labels, side, label)
     fixation = CEMENTLESS if cementless else CEMENTED
     proposal = _propose(
