@@ -68,14 +68,20 @@ def write(case: Case, source: Path, path: Path) -> Path:
     """Write the page of a case to a file.
 
     Raises:
-        InputError: The geometry has no stem to place, three.js is missing, or the file cannot be
-            written, is no page, or is the page of another case.
+        InputError: The geometry has no stem to place, or no bone; three.js is missing; or the file
+            cannot be written, is no page, or is the page of another case.
         GeometryError: The shaft's axis leaves the bone.
     """
     geometry = case.geometry
     if not isinstance(geometry, OperatedHip):
         fault = f"{source}: geometry.kind: {geometry.kind} has no stem to place"
         raise InputError(f"{fault}; expected femur or patient")
+    bones = [name for name, tissue in geometry.tissues.items() if tissue == "bone"]
+    if all(case.regions[name].tissue not in (None, "bone") for name in bones):
+        raise InputError(
+            f"{source}: {', '.join(bones)} are of another tissue, as a pot on a test bench is;"
+            " expected a stem in bone"
+        )
     scripts = [viewer.THREE / name for name in viewer.SCRIPTS]
     if not all(script.exists() for script in scripts):
         raise InputError("mantle place: three.js is missing; install the package libjs-three")

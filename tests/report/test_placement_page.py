@@ -347,10 +347,13 @@ def test_placement_page_refuses_a_case_without_a_stem(
 ) -> None:
     assert main(["place", "blocks", "-o", str(tmp_path / "place.html")]) == InputError.exit_code
     assert "blocks has no stem to place; expected femur or patient" in capsys.readouterr().err
+    page = str(tmp_path / "place.html")
+    assert main(["place", "iso_7206_4", "-o", page]) == InputError.exit_code
+    assert "as a pot on a test bench is; expected a stem in bone" in capsys.readouterr().err
 
 
 def test_placement_page_is_linked_by_check(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", "stance"]) == 0
     text = capsys.readouterr().out
-    assert re.search(r"to place the stem by eye: \S+ place stance", text)
+    assert re.search(r"to place the stem by eye: \S+ place stance; --mesh checks that the", text)
     assert "head of the stem: offset 43.0 mm (+0.0 against the intact head)" in text
