@@ -22,7 +22,7 @@ from scipy.optimize import linprog
 from app.foundation import files
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
-from app.foundation.layout import alternatives
+from app.foundation.layout import alternatives, fixed
 from meshes import cache, femur_stem, room
 from meshes.femur_stem import Thickness
 from meshes.placement import NO_POSITION, Placement, Position, position
@@ -249,9 +249,9 @@ def _search(geometry: OperatedHip, insertion: Insertion) -> tuple[list[float], s
     placement = cut.put(implant, rounded, mirrored)
     fit_after, fit_before = room.fit(canal, stem, placement), room.fit(canal, stem, start_placement)
     position_text = (
-        f"varus {math.degrees(varus):.1f}, flexion {math.degrees(flexion):.1f},"
-        f" version {math.degrees(angle):.1f} deg from the {insertion.version.relative_to},"
-        f" offsets {medial:.1f} mm medial, {anterior:.1f} mm anterior"
+        f"varus {fixed(math.degrees(varus))}, flexion {fixed(math.degrees(flexion))},"
+        f" version {fixed(math.degrees(angle))} deg from the {insertion.version.relative_to},"
+        f" offsets {fixed(medial)} mm medial, {fixed(anterior)} mm anterior"
     )
     if fit_after.least < geometry.least_room:
         shortfall = f"leaves {fit_after.least:.2f} mm"

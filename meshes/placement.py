@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
+from app.foundation.layout import fixed
 from meshes import femur_stem
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ class Placement:
         """A point of the model (3,) in words."""
         below = round(float(self.normal @ (self.foot - x)) / self.normal[2])
         side = "above" if below < 0 else "below"
-        return "({:.0f}, {:.0f}, {:.0f}) mm".format(*x) + f", {abs(below)} mm {side} the cut"
+        return f"({', '.join(fixed(v, 0) for v in x)}) mm, {abs(below)} mm {side} the cut"
 
 
 @dataclass(frozen=True)
@@ -231,10 +232,8 @@ def head_in_words(geometry: Hip) -> str:
     offset, intact_offset = math.hypot(*head[:2]), math.hypot(*intact[:2])
     version = math.degrees(math.atan2(placement.rotation[1, 0], placement.rotation[0, 0]))
     changes = offset - intact_offset, lengthening(geometry), version - math.degrees(femur.neck)
-    offset_change, length_change, rotation = (
-        round(float(change), 1) + 0.0 for change in changes
-    )  # no "-0.0"
+    offset_change, length_change, rotation = (fixed(change, sign="+") for change in changes)
     return (
-        f"offset {offset:.1f} mm ({offset_change:+.1f} against the intact head),"
-        f" leg length {length_change:+.1f} mm, version {version:.1f} deg ({rotation:+.1f})"
+        f"offset {fixed(offset)} mm ({offset_change} against the intact head),"
+        f" leg length {length_change} mm, version {fixed(version)} deg ({rotation})"
     )

@@ -27,6 +27,7 @@ from app.case import checks, overlay, points
 from app.case.credibility import Credibility
 from app.case.geometries import Geometry, MeshFile, MeshOptions
 from app.case.merge_rules import MEASURED, at_common_table
+from app.case.misplaced_keys import with_section
 from app.case.points import Point
 from app.case.run_options import OutputOptions, SolverOptions, Stage, TimeOptions
 from app.case.shapes import Point3
@@ -333,7 +334,7 @@ def resolve(file: CaseFile, folder: Path) -> Case:
         InputError: As `load_case`.
     """
     case, faults = valid_parts(file.data, folder)
-    faults = [at_common_table(fault, file.common) for fault in faults]
+    faults = [with_section(at_common_table(fault, file.common), Case) for fault in faults]
     if file.incomplete:
         file.raise_all([fault for fault in faults if fault.path[:1] not in file.incomplete])
     case = _with_tissues(case, file.tissues)

@@ -1,7 +1,8 @@
 """Texts of ``mantle explain``: keys, kinds, entries of the library and results by any word.
 
-A word is the path of a key, the name of a kind, or a name of the library. It may also be a part of
-the name of a result, or a term of the field (`TARGETS_OF_TERMS`, the glossary of the manual).
+A word is the path of a key, one of the values that a key allows, the name of a kind, or a name of
+the library. It may also be a part of the name of a result, or a term of the field
+(`TARGETS_OF_TERMS`, the glossary of the manual).
 """
 
 from __future__ import annotations
@@ -125,9 +126,9 @@ def explained(key: str = "", options: Mapping[str, str] | None = None) -> str:
     A phrase is looked for as a whole, then all of its words, then each word, the last one first.
 
     Args:
-        key: A key as after ``--set``, without names or its last word alone; a kind; a name of the
-            library, ``materials`` or ``loads`` for all of them; a term of the field. Without it,
-            the sections of a case are listed.
+        key: A key as after ``--set``, without names or its last word alone; a value that keys
+            allow, such as ``broach``; a kind; a name of the library, ``materials`` or ``loads`` for
+            all of them; a term of the field. Without it, the sections of a case are listed.
         options: Options of commands with their meanings.
 
     Raises:
@@ -177,6 +178,8 @@ def _answers(query: str, options: Mapping[str, str]) -> list[str]:
         lines += [_line(k) for k in all_keys() if word in k.name.lower()]
     if not library_lists:
         lines += _lines_with(word)
+    if not blocks:
+        blocks += _keys_with_choice(query)
     if not blocks and not lines and not option_lines:
         lines += list(_lines_on([word.replace("_", " ")]))[:MOST_LINES]
     explanations = list(dict.fromkeys(blocks))
@@ -256,6 +259,18 @@ def _keys(query: str) -> Iterator[str]:
         heads.setdefault(_kinds(key.path) if key.name == "kind" else _body(key), []).append(heading)
     for body, paths in heads.items():
         yield "\n".join([*dict.fromkeys(paths), body])
+
+
+def _keys_with_choice(word: str) -> list[str]:
+    """Explain all keys of which a word is one of the values that they allow, such as ``broach``."""
+    if word in ("true", "false"):
+        return []
+    paths = [
+        key.path
+        for key in all_keys()
+        if key.name != "kind" and f"`{word}`" in key.value.partition("e.g.")[0]
+    ]
+    return [block for path in dict.fromkeys(paths) for block in _keys(path)]
 
 
 def _kind(query: str) -> Iterator[str]:

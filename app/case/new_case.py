@@ -52,7 +52,7 @@ def write(
         cementless: True for a stem without cement.
 
     Raises:
-        InputError: The file exists, or the kind has no stem.
+        InputError: The file exists, its folder does not, or the kind has no stem.
         StoppedError: The file cannot be written.
     """
     if stem and kind not in ("femur", "cylinders"):
@@ -61,7 +61,7 @@ def write(
         raise InputError(
             f"--cementless: only femora have such a stem, not kind {kind}; leave one of them out"
         )
-    path = yaml(path)
+    path = new_file(path)
     if kind == "file":
         case_text = _of_mesh_file(path.with_suffix(".msh"), meeting)
     else:
@@ -72,20 +72,26 @@ def write(
     return path
 
 
-def yaml(path: Path) -> Path:
-    """Return the file of a case by its name, with or without its suffix."""
-    return path if path.suffix in (".yaml", ".yml") else path.with_name(f"{path.name}.yaml")
+def new_file(path: Path) -> Path:
+    """Return the file of a new case by its name, with or without its suffix.
+
+    Raises:
+        InputError: The file exists, or its folder does not.
+    """
+    file = path if path.suffix in (".yaml", ".yml") else path.with_name(f"{path.name}.yaml")
+    if file.exists():
+        raise InputError(f"{file}: exists already and was not changed; choose another name")
+    if not file.parent.is_dir():
+        raise InputError(f"{file}: folder {file.parent} does not exist; make it first")
+    return file
 
 
 def save_case_text(path: Path, text: str) -> None:
     """Write a new file of a case.
 
     Raises:
-        InputError: The file exists.
         StoppedError: It cannot be written.
     """
-    if path.exists():
-        raise InputError(f"{path}: exists already and was not changed; choose another name")
     with writing(path), path.open("x", encoding="utf-8") as file:
         file.write(SCHEMA + text)
 

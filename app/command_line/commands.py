@@ -174,7 +174,10 @@ def _check(options: argparse.Namespace) -> int:
     print(checked.size)
     if case.config.geometry.placement_details:
         program = os.environ.get("MANTLE_CALLED", "mantle")
-        print(f"to place the stem by eye: {program} place {shlex.quote(str(options.case))}")
+        # The stem of a patient is checked when the case is read.
+        is_unchecked = case.config.geometry.kind == "femur" and not (options.mesh or options.output)
+        remark = "; --mesh checks that the stem fits" if is_unchecked else ""
+        print(f"to place the stem by eye: {program} place {shlex.quote(str(options.case))}{remark}")
     if options.output:
         from app.report import case_picture
 

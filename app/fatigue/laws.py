@@ -15,7 +15,6 @@ from app.schema.section import MAPPING, Kinds, Name, Pair, Section, fail
 from app.schema.units import (
     Dimension,
     Length,
-    Modulus,
     Number,
     Plain,
     PositiveLength,
@@ -24,6 +23,9 @@ from app.schema.units import (
 
 SOME = AfterValidator(lambda entries: entries or fail("is empty; expected at least one"))
 Strength = Annotated[float, Dimension("MPa", "a stress", "26 MPa", at_least=0.0)]
+Endured = Annotated[float, Dimension("MPa", "a stress", "38 MPa", above=0.0)]
+Fall = Annotated[float, Dimension("MPa", "a stress", "5 MPa", above=0.0)]
+Ultimate = Annotated[float, Dimension("MPa", "a stress", "900 MPa", above=0.0)]
 Volume = Annotated[float, Dimension("mm^3", "a volume", "1000 mm^3", above=0.0)]
 
 
@@ -32,7 +34,7 @@ class Weibull(Section):
 
     shape: PositiveNumber
     """Exponent m."""
-    scale: Modulus
+    scale: Endured
     """Stress s_0 above the threshold."""
     threshold: Strength = 0.0
     """Stress s_u below which nothing fails."""
@@ -96,9 +98,9 @@ class Logarithmic(FatigueLaw):
     """A line over the logarithm of N: s = strength - fall log10 N; no tension does no damage."""
 
     kind: Literal["logarithmic"] = "logarithmic"
-    strength: Modulus
+    strength: Endured
     """Stress at which one cycle causes failure."""
-    fall: Modulus
+    fall: Fall
     """Decrease of the stress when N grows tenfold."""
 
     def damage(self, s: Floats) -> Floats:
@@ -123,8 +125,8 @@ class Murphy(Logarithmic):
     """Bone cement mixed by hand: Murphy and Prendergast 2000, from memory: check."""
 
     kind: Literal["murphy_2000"] = "murphy_2000"  # type: ignore[assignment]
-    strength: Modulus = 37.8
-    fall: Modulus = 4.736
+    strength: Endured = 37.8
+    fall: Fall = 4.736
     ratio: Annotated[float, Plain(at_least=0.0, below=1.0)] = 0.1
     source: Source = f"Murphy and Prendergast 2000, {MEMORY}"
 
@@ -138,8 +140,8 @@ class Okazaki(Logarithmic):
     """
 
     kind: Literal["okazaki_2021"] = "okazaki_2021"  # type: ignore[assignment]
-    strength: Modulus = 983.0
-    fall: Modulus = 18.3
+    strength: Endured = 983.0
+    fall: Fall = 18.3
     ratio: Annotated[float, Plain(at_least=0.0, below=1.0)] = 0.1
     deviation: Strength = 14.0
     source: Source = "Okazaki and others 2021, Materials 14:732, abstract"
@@ -161,7 +163,7 @@ class Fatigue(Section):
     the last valley before, or the start of a stage without `cycles`."""
     laws: Annotated[dict[Name, AnyLaw], MAPPING, SOME]
     """S-N laws side by side, by name; life is reported as the band over all of them."""
-    goodman: Modulus | None = None
+    goodman: Ultimate | None = None
     """Strength at which Goodman's line ends; without it the mean stress does not count."""
 
     def equivalent(

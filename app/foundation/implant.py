@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from app.foundation.layout import alternatives
+
 NECK_ANGLES = (100.0, 145.0)  # range of the angle between neck and shaft (deg)
 LEAST_CELL_HEIGHT = 1.0  # mm: a rounded end or a void that is shorter has flat cells
 SECTION = ("half_width", "half_depth", "corner_radius")
@@ -125,12 +127,15 @@ class Implant:
         radius = sizes["corner_radius"]
         for name, size in sizes.items():
             if size <= 0.0 or (name != "corner_radius" and size <= radius):
-                axis, tip = self.section_z, self.tip_z
                 least = "0" if size <= 0.0 else f"the corner radius there, {radius:.3g} mm"
+                # The end of the line at this level, and the other one.
+                near, far = ("tip_", "") if z < self.tip_z else ("", "tip_")
+                lower = [f"{far}{name}"] + [f"{near}corner_radius"] * (size > 0.0)
+                with_cement = " with the cement" if offset else ""
                 yield (
                     name,
-                    f"is {getattr(self, name):.4g} mm at z = {axis:.4g} mm and"
-                    f" {getattr(self, f'tip_{name}'):.4g} mm at the tip, z = {tip:.4g} mm. The"
-                    f" straight line through both gives {size:.3g} mm at {level_name},"
-                    f" z = {z:g} mm; expected more than {least}",
+                    f"is {size:.3g} mm{with_cement} at {level_name}, z = {z:g} mm; expected more"
+                    f" than {least}. Raise {near}{name}, or reduce {alternatives(lower)}. (The size"
+                    f" is linear: {getattr(self, name):.4g} mm at z = {self.section_z:.4g} mm,"
+                    f" {getattr(self, f'tip_{name}'):.4g} mm at the tip, z = {self.tip_z:.4g} mm.)",
                 )

@@ -47,6 +47,11 @@ def percent(value: float) -> str:
     return f"{100 * value:.0f} %" if value >= 1 else f"{two_digits(100 * value)} %"
 
 
+def fixed(number: float, digits: int = 1, sign: str = "") -> str:
+    """Number with so many decimals, without a negative zero; with ``+``, always with its sign."""
+    return f"{round(float(number), digits) + 0.0:{sign}.{digits}f}"
+
+
 def two_digits(number: float) -> str:
     """Number with two significant digits, without an exponent up to a million: 0.012, 4.1, 120."""
     return f"{float(f'{number:.2g}'):g}"

@@ -21,8 +21,8 @@ from app.laws.interface_laws import (
 from app.laws.thermal import FrictionHeating
 from app.laws.values import (
     INTERFERENCE,
+    GapField,
     InterferenceField,
-    LengthField,
     LoadHistory,
     StemPlaces,
     Table,
@@ -59,7 +59,7 @@ class Unilateral(Frictional):
     can_open: ClassVar[bool] = True
     is_contact: ClassVar[bool] = True
 
-    gap: LengthField = 0.0
+    gap: GapField = 0.0
     """Initial gap: a clearance if positive, an interference (press fit) if negative."""
     interference: InterferenceField | None = None
     """Radial interference of a press fit: half of the diametral one. A length, an expression, or

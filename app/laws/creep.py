@@ -11,7 +11,7 @@ from app.laws.values import OfRegion
 from app.schema import units
 from app.schema.section import Pair, fail
 
-Range = Annotated[tuple[units.Modulus, units.Modulus], Pair("[3 MPa, 11 MPa]")]
+Range = Annotated[tuple[units.PositiveStress, units.PositiveStress], Pair("[3 MPa, 11 MPa]")]
 
 
 class Creep(OfRegion):

@@ -38,8 +38,8 @@ from pydantic import model_validator
 
 from app.laws.thermal import Conductance, FrictionHeating, PressureConductance
 from app.laws.values import (
+    GapField,
     InterferenceField,
-    LengthField,
     Patches,
     StemPlaces,
     field,
@@ -489,7 +489,7 @@ class SurfaceZone(Section):
     """Height at which it ends; by default the neck cut."""
     friction_coefficient: NonNegativeNumber | None = None
     """Coulomb's coefficient there; by default that of the interface."""
-    gap: LengthField | None = None
+    gap: GapField | None = None
     """Initial gap there, in place of the interface's gap or interference."""
     interference: InterferenceField | None = None
     """Radial interference there, in place of the interface's gap or interference."""

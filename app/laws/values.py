@@ -30,8 +30,31 @@ FractureEnergyField = Annotated[
 LengthField = Annotated[float | str, Varying(Dimension("mm", "a length", "0.05 mm"))]
 # Largest radial interference [mm]: strains of bone are a few percent.
 MOST_INTERFERENCE = 1.0
-_INTERFERENCE = Dimension("mm", "a length", "0.02 mm", at_least=0.0, at_most=MOST_INTERFERENCE)
+# Its usual size in bone, as text.
+USUAL_INTERFERENCE = "0.01 to 0.02 mm"
+_INTERFERENCE = Dimension(
+    "mm",
+    "a length",
+    "0.02 mm",
+    at_least=0.0,
+    at_most=MOST_INTERFERENCE,
+    beyond=f"an interference is radial, and {USUAL_INTERFERENCE} are usual",
+    usual=(1e-4, MOST_INTERFERENCE),
+    other_units=("um",),
+)
 INTERFERENCE = Varying(_INTERFERENCE)
+GapField = Annotated[
+    float | str,
+    Varying(
+        Dimension(
+            "mm",
+            "a length",
+            "0.05 mm",
+            at_least=-MOST_INTERFERENCE,
+            beyond="a negative gap is a radial interference, and -0.01 to -0.02 mm are usual",
+        )
+    ),
+]
 # Reliability of values, and their source.
 Status = Literal["measured", "assumed", "unverified"] | None
 Source = Text | None

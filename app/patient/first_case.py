@@ -45,6 +45,16 @@ CT_THRESHOLD = 600.0  # CT number at the endosteum
 LEG_LIMIT = 8.0  # largest proposed change of the leg length (mm): patients notice 10 mm
 # Options of ``mantle init`` by the keys of a case for which they stand.
 OPTIONS = {"geometry.bone.side": "--side", "geometry.canal.ct": "--ct", "canal.ct": "--ct"}
+# Section of a case with the landmarks that a short scan lacks.
+LANDMARKS = """\
+  base: stance
+  geometry:
+    kind: patient
+    bone: {image: FILE, label: NUMBER}
+    landmarks:
+      shaft: [[X, Y, Z], [X, Y, Z]] # two points of the axis, the distal one first
+      lesser_trochanter: [X, Y, Z] # its apex, if the scan does not contain it
+  loads: {library: one_leg_stance}"""
 # A key of a case in a message.
 CASE_KEY = r"\b(geometry|landmarks|bone|canal)\.[a-z]"
 
@@ -151,9 +161,9 @@ def write(
 
     Raises:
         InputError: There is not one femur, its scan is too short, or no stem fits; or the file
-            exists or cannot be written.
+            exists, or its folder does not.
     """
-    path = new_case.yaml(path)
+    path = new_case.new_file(path)
     bone = segmentation.femur_structure(labels, side, label)
     fixation = CEMENTLESS if cementless else CEMENTED
     proposal = _propose(
@@ -258,10 +268,10 @@ def _with_options(message: str) -> str:
         message = message.replace(key, option)
     if not re.search(CASE_KEY, message):
         return message
-    return (
-        f"{message.rstrip('.')}. `mantle init` takes no such keys: write a case with them"
-        " (docs/howto/patient.md)"
-    )
+    advice = "`mantle init` takes no such keys: write a case with them (docs/howto/patient.md)"
+    if "landmarks.shaft" in message:
+        advice += f", in mm in the axes of the image:\n{LANDMARKS}"
+    return f"{message.rstrip('.')}. {advice}"
 
 
 def _check_room(geometry: Patient) -> None:
@@ -319,7 +329,7 @@ def _assumptions(
             f" {end_level - geometry.level:.0f} mm (bone.extend)"
         )
     neck = f"neck-shaft angle {details['neck-shaft angle']}"
-    yield f"bone: head of {frame.radius:.1f} mm, {neck}; {scan}"
+    yield f"bone: head of radius {frame.radius:.1f} mm, {neck}; {scan}"
     yield f"canal: {_canal(geometry, ct)}"
     angle = math.degrees(geometry.resection.angle)
     cut = f"neck cut {CUT_HEIGHT:g} mm above the lesser trochanter at {angle:g} deg"

@@ -26,7 +26,7 @@ from app.foundation.implant import Implant
 from app.foundation.layout import alternatives
 from app.schema.paths import file
 from app.schema.section import Kinds, Pair, Section, Triple, fail
-from app.schema.units import Length, Number, Plain, PositiveLength
+from app.schema.units import Length, Plain, PositiveLength
 from meshes.placement import Placement, placement_of
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ class Canal(Outline):
     ct: ImageFile | None = None
     """CT of a bone that is given by a label. The canal is where CT numbers are below `threshold`,
     up to below the lesser trochanter."""
-    threshold: Number = 600.0
+    threshold: Annotated[float, Plain(unit="HU")] = 600.0
     """CT number at the inner surface of the cortex."""
     isthmus: PositiveLength | None = None
     """Width of the canal where it is narrowest, the mean of both directions, if no file shows it:
@@ -106,7 +106,8 @@ class Canal(Outline):
     above that level, and from the parametric femur."""
     ream: Literal["none", "by", "broach"] = "none"
     """Reaming by the surgeon: none, by the same distance everywhere (`ream_by`), or as far as stem
-    and cement mantle need. At least 1.5 mm of cortex are left."""
+    and cement mantle need. It leaves 2.5 mm of cortex. A thinner cortex keeps its thickness, but at
+    least 1.5 mm."""
     ream_by: PositiveLength = 1.0
     """Distance by which the canal is widened with `ream: by`."""
 

@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 
 from app.foundation.arrays import Bools, Floats, unit_vectors
 from app.foundation.errors import GeometryError
+from app.foundation.layout import fixed
 from app.patient import shaft
 from app.patient.bone_surface import BoneSurface, mean_point_text
 from app.patient.given_landmarks import SHAFT_LEVEL, GivenLandmarks
@@ -119,7 +120,7 @@ class Frame:
     def details(self) -> dict[str, str]:
         """Landmarks in words, with the intervals that hold 90 %."""
         degrees, spread = math.degrees, self.spread
-        places = ["({:.1f}, {:.1f}, {:.1f}) mm".format(*x) for x in (self.head, self.trochanter)]
+        places = [f"({', '.join(map(fixed, x))}) mm" for x in (self.head, self.trochanter)]
         head_spread = f" ± {spread['head']:.1f}"
         if "head_centre" in self.given:
             head_spread = ", given"
@@ -127,7 +128,7 @@ class Frame:
             places[1] += ", given"
         version = "unknown without condyles: medial is along the neck"
         if self.version is not None:
-            version = f"{degrees(self.version):.1f} deg ± {degrees(spread['version']):.1f}"
+            version = f"{fixed(degrees(self.version))} deg ± {degrees(spread['version']):.1f}"
         angle = degrees(math.acos(-float(self.axes[2] @ self.neck)))
         angle_spread = degrees(math.hypot(spread["neck"], spread["shaft"]))
         return {

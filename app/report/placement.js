@@ -137,7 +137,7 @@
 
   const NUMBERS = [
     ["depth", "depth", "mm", -10, 14, 0.5], ["varus", "varus", "°", -8, 8, 0.5], ["flexion", "flexion", "°", -8, 8, 0.5],
-    ["version", "version", "°", -40, 40, 1], ["lateral", "lateral shift", "mm", -10, 10, 0.5], ["anterior", "anterior shift", "mm", -10, 10, 0.5],
+    ["version", "version", "°", -40, 40, 1], ["lateral", "lateral shift (−medial_offset)", "mm", -10, 10, 0.5], ["anterior", "anterior shift", "mm", -10, 10, 0.5],
   ];
   const stems = head.stems.map(s => ({ ...s, points: s.points && array(s.points), around: s.start.length,
     rows: s.points ? s.points.shape[0] : head.stem.along + 2 * (head.stem.neck_along - 1) }));
@@ -153,10 +153,11 @@
     update();
   }
   const plain = (v, digits) => String(+v.toFixed(digits) + 0);
+  const fixed = (v, digits) => (+v.toFixed(digits) + 0).toFixed(digits); // no "-0.0"
   const minus = text => text.replace("-", "−");
   const signed = (v, digits) => (+v.toFixed(digits) < 0 ? "−" : "+") + Math.abs(v).toFixed(digits);
   function yaml() {
-    const p = state.p, lines = ["geometry:"];
+    const p = state.p, lines = [];
     if (stems[state.size].yaml) lines.push("  " + stems[state.size].yaml);
     lines.push("  insertion:", `    depth: ${plain(p.depth, 3)} mm`, `    varus: ${plain(p.varus, 3)} deg`, `    flexion: ${plain(p.flexion, 3)} deg`,
       "    version:", `      relative_to: ${head.relative}`, `      angle: ${plain(p.version - zero, 3)} deg`,
@@ -191,7 +192,12 @@
 
   // Controls
 
-  $("about").textContent = `${head.title}. ${head.side === "right" ? "Right" : "Left"} femur. Version is measured from the ${head.relative}.${head.collar ? " The collar is not drawn." : ""}`;
+  const LINE = head.condyles ? "condyles" : "neck";
+  const VERSION = head.relative === LINE ? `Version is measured from the ${LINE}.`
+    : `The slider and the key measure version from the ${head.relative}, the table from the ${LINE}.`;
+  $("room").textContent = cemented ? `Room is the distance of the stem from the widest canal that reaming may make; cement needs at least ${head.least} mm.`
+    : "Room is the distance of the stem from the cortex that must stay.";
+  $("about").textContent = `${head.title}. ${head.side === "right" ? "Right" : "Left"} femur. ${VERSION}${head.collar ? " The collar is not drawn." : ""}`;
   const inputs = {};
   if (stems.length > 1) {
     const row = make("div", $("sliders"), { className: "row" });
@@ -218,7 +224,7 @@
     let done = true;
     try { await navigator.clipboard.writeText(yaml()); }
     catch (error) { $("yaml").select(); done = document.execCommand("copy"); }
-    $("copied").textContent = done ? `copied: put it into ${head.source}` : "select the text above and copy it";
+    $("copied").textContent = done ? `copied: in ${head.source}, put it below geometry in place of its insertion` : "select the text above and copy it";
   };
 
   // The picture
@@ -389,20 +395,20 @@
       inputs[key].number.value = plain(shown(key), 1);
       inputs[key].slider.setAttribute("aria-valuetext", plain(shown(key), 1));
     }
-    const fits = now.least >= head.least && now.clears, place = `${now.where}, ${now.below.toFixed(0)} mm below the cut`;
+    const fits = now.least >= head.least && now.clears, place = `${now.where}, ${fixed(now.below, 0)} mm below the cut`;
     $("verdict").className = fits ? "" : "bad";
     $("verdict").textContent = fits ? "The stem fits." : !now.clears
       ? "The neck does not clear the neck cut: put the stem less deep, or cut lower." : now.least < 0
       ? `The stem cuts ${(-now.least).toFixed(2)} mm into the cortex ${place}.`
       : `The stem leaves ${now.least.toFixed(2)} mm; at least ${head.least} mm are needed ${place}.`;
-    $("short").textContent = `least room ${minus(now.least.toFixed(2))} mm`;
+    $("short").textContent = `least room ${minus(fixed(now.least, 2))} mm`;
     $("short").className = fits ? "" : "bad";
     const rows = [
-      ["least room around the stem", place, minus(now.least.toFixed(2)) + " mm"],
+      ["least room around the stem", place, minus(fixed(now.least, 2)) + " mm"],
       ...cemented ? [["least thickness of the cement", "", Math.max(0, now.thinnest).toFixed(2) + " mm"]] : [],
       ["offset of the head", "against the intact head", `${now.offset.toFixed(1)} mm (${signed(now.offsetChange, 1)})`],
       ["leg length", "against the intact head", `${signed(now.leg, 1)} mm`],
-      ["version", head.condyles ? "from the condyles; change" : "from the neck; change", `${minus(now.version.toFixed(1))}° (${signed(now.versionChange, 1)})`],
+      ["version", `from the ${LINE}; change`, `${minus(fixed(now.version, 1))}° (${signed(now.versionChange, 1)})`],
     ];
     $("numbers").textContent = "";
     for (const [name, more, value] of rows) {

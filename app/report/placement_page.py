@@ -7,6 +7,7 @@ same grid, so its numbers are those of ``mantle check --mesh``.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -39,8 +40,11 @@ BOX = 1.0
 BELOW = 25.0
 # Distance of the drawn sections of the canal, in sections.
 EVERY = 3
-# First bytes of a page.
+# First bytes of a page, and those among which it names its case.
 DOCTYPE = b"<!doctype html"
+PAGE_HEAD = 2000
+# The name of its case on a page: a digest, since a page that is sent shows no folders.
+CASE = '<meta name="case" content="{}">'
 # Largest number of stems of a folder that the page offers.
 SIZES = 12
 
@@ -64,18 +68,25 @@ def write(case: Case, source: Path, path: Path) -> Path:
     """Write the page of a case to a file.
 
     Raises:
-        InputError: The geometry has no stem to place, three.js is missing, or the file cannot be
-            written or is no page.
+        InputError: The geometry has no stem to place, or no bone; three.js is missing; or the file
+            cannot be written, is no page, or is the page of another case.
         GeometryError: The shaft's axis leaves the bone.
     """
     geometry = case.geometry
     if not isinstance(geometry, OperatedHip):
         fault = f"{source}: geometry.kind: {geometry.kind} has no stem to place"
         raise InputError(f"{fault}; expected femur or patient")
+    bones = [name for name, tissue in geometry.tissues.items() if tissue == "bone"]
+    if all(case.regions[name].tissue not in (None, "bone") for name in bones):
+        raise InputError(
+            f"{source}: {', '.join(bones)} are of another tissue, as a pot on a test bench is;"
+            " expected a stem in bone"
+        )
     scripts = [viewer.THREE / name for name in viewer.SCRIPTS]
     if not all(script.exists() for script in scripts):
         raise InputError("mantle place: three.js is missing; install the package libjs-three")
-    _refuse_other_file(path)
+    case_line = CASE.format(hashlib.sha256(os.fsencode(source.resolve())).hexdigest()[:16])
+    _refuse_other_file(path, case_line)
     module_folder = Path(__file__).parent
     head, numbers = packed_placement(geometry, case.title or source.stem, source)
     script_texts = [script.read_text("utf-8") for script in scripts]
@@ -83,6 +94,7 @@ def write(case: Case, source: Path, path: Path) -> Path:
         "placement.html",
         {
             "title": case.title or source.stem,
+            "case": case_line,
             "head": json.dumps(head),
             "data": as_text(numbers),
             "licence": (module_folder / "three_licence.txt").read_text("utf-8"),
@@ -95,17 +107,22 @@ def write(case: Case, source: Path, path: Path) -> Path:
     return path
 
 
-def _refuse_other_file(path: Path) -> None:
-    """Refuse to replace a file that no earlier call wrote.
+def _refuse_other_file(path: Path, case_line: str) -> None:
+    """Refuse to replace a file that no earlier call for the same case wrote.
 
     Raises:
-        InputError: The file exists and is no page, or it cannot be read.
+        InputError: The file exists and is no page or one of another case, or it cannot be read.
     """
     try:
         if path.is_file():
             with path.open("rb") as file:
-                if file.read(len(DOCTYPE)).lower() != DOCTYPE:
-                    raise InputError(f"-o {path}: exists and is not a page; choose another name")
+                page_head = file.read(PAGE_HEAD)
+            if not page_head.lower().startswith(DOCTYPE):
+                raise InputError(f"-o {path}: exists and is not a page; choose another name")
+            if case_line.encode() not in page_head:
+                raise InputError(
+                    f"-o {path}: is the page of another case; choose another name with -o"
+                )
     except OSError as error:
         raise InputError(f"-o {path}: cannot be replaced: {error.strerror}") from error
 

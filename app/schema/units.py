@@ -17,13 +17,14 @@ import re
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import lru_cache, partial
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, WithJsonSchema
 
+from app.foundation.layout import alternatives
 from app.schema.section import Scalar, Triple, did_you_mean, fail, show
 from app.system import folders
 
@@ -37,6 +38,17 @@ ANGLES = re.compile("radian|degree|arc|turn|grade")
 LONGEST_NUMBER = 60
 # Longest number with its unit; matching takes quadratic time.
 LONGEST_VALUE = 200
+# A value is unusual if it is so many times larger or smaller than the example of its key.
+UNUSUAL_FACTOR = 1e3
+# Usual moduli, from gel to diamond, and usual stresses [MPa].
+MODULI = (5.0, 1.5e6)
+STRESSES = (1e-2, 2e3)
+# Usual lengths [mm].
+LENGTHS = (1e-4, 2e3)
+# Usual densities [tonne/mm^3], forces [N], angles [rad].
+DENSITIES = (5e-11, 2.5e-8)
+FORCES = (0.1, 1e5)
+ANGLES_IN_USE = (1e-3, 6.3)
 # Bounds above this only avoid overflow, and are left out of the manual.
 HUGE = 1e9
 # Largest number that is finite.
@@ -135,12 +147,13 @@ def bounds_in_words(schema: dict[str, Any]) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class _Bounded(Scalar):
-    """Marks a number by its bounds."""
+    """Marks a number by its bounds, and by a sentence on a number beyond them."""
 
     above: float | None = None
     at_least: float | None = None
     at_most: float | None = None
     below: float | None = None
+    beyond: str = ""
 
     @property
     def bounds(self) -> dict[str, float]:
@@ -159,7 +172,8 @@ class _Bounded(Scalar):
             if bound is not None and not holds(value, bound):
                 signs = {"above": "must be positive", "at_least": "must not be negative"}
                 message = f"must be {relation} {bound:g} {unit}".rstrip()
-                fail(f"{shown} {message if bound else signs.get(key, message)}")
+                remark = f"; {self.beyond}" if self.beyond else ""
+                fail(f"{shown} {message if bound else signs.get(key, message)}{remark}")
 
 
 @dataclass(frozen=True)
@@ -171,12 +185,17 @@ class Dimension(_Bounded):
         what: Dimension in words, with its article.
         example: Value as written in a file.
         offset: True if a unit may have another zero: degC of a temperature, not of a difference.
+        usual: Smallest and largest usual size of a value, in the internal unit; by default 1/1000
+            and 1000 of the example.
+        other_units: Units that a number without a unit may have, if not that of the example.
     """
 
     unit: str
     what: str
     example: str
     offset: bool = True
+    usual: tuple[float, float] | None = field(default=None, kw_only=True)
+    other_units: tuple[str, ...] = field(default=(), kw_only=True)
 
     def read(self, value: object) -> float:
         """The value in the internal unit.
@@ -197,7 +216,7 @@ class Dimension(_Bounded):
             )
         number, unit = match.groups()
         if not unit:
-            fail(f"{shown_value} needs a unit, e.g. '{number} {self.example.split(maxsplit=1)[1]}'")
+            fail(f"{shown_value} needs a unit, e.g. {self._with_a_unit(number)}")
         try:
             slope, offset = conversion(unit, self.unit)
         except LookupError:
@@ -220,6 +239,25 @@ class Dimension(_Bounded):
             fail(f"{shown_value} is not finite in {self.unit}")
         self.check(result, shown_value, self.unit)
         return result
+
+    def _with_a_unit(self, number: str) -> str:
+        """Return a number with each unit in which its size is usual; without any, the example."""
+        example_number, unit_of_example = self.example.split(maxsplit=1)
+        if float(number) == 0.0:
+            return f"'{number} {unit_of_example}'"
+        size = abs(self._internal(example_number, unit_of_example))
+        lowest, highest = self.usual or (size / UNUSUAL_FACTOR, size * UNUSUAL_FACTOR)
+        choices = [
+            f"'{number} {unit}'"
+            for unit in (unit_of_example, *self.other_units)
+            if lowest <= abs(self._internal(number, unit)) <= highest
+        ]
+        return alternatives(choices or [f"'{self.example}'"])
+
+    def _internal(self, number: str, unit: str) -> float:
+        """Return a number with a unit in the internal unit; sizes alone, without bounds."""
+        slope, offset = conversion(unit, self.unit)
+        return float(number) * float(slope) + float(offset)
 
     def write(self, value: float) -> str:
         """The value as text that reads back to the same float."""
@@ -254,6 +292,9 @@ class AbsoluteTemperature(Dimension):
     unit: str = "K"
     what: str = "a temperature"
     example: str = "37 degC"
+    # From dry ice to the oven [K].
+    usual: tuple[float, float] | None = field(default=(194.0, 500.0), kw_only=True)
+    other_units: tuple[str, ...] = field(default=("K",), kw_only=True)
 
     def read(self, value: object) -> float:
         """The value in K.
@@ -354,7 +395,7 @@ def _part(value: object) -> object:
     return float(Fraction(match[1]) / 100) if match and match[2] == "%" else value
 
 
-_length = partial(Dimension, "mm", "a length", "4 mm")
+_length = partial(Dimension, "mm", "a length", "4 mm", usual=LENGTHS)
 _difference = partial(Dimension, "K", "a difference of temperatures", "5 K", offset=False)
 _time = partial(Dimension, "s", "a time", "600 s")
 _stiffness = partial(Dimension, "MPa/mm", "a stiffness per area", "100 MPa/mm")
@@ -365,18 +406,21 @@ _expansion = Dimension("1/K", "an expansion per temperature", "80e-6 1/K")
 _heat = Dimension("J/cm^3", "an energy per volume", "1.55e8 J/m^3", at_least=0.0)
 _per_pressure = partial(Dimension, "mW/(mm^2*K*MPa)", "a conductance per area and pressure")
 _per_amount = partial(Dimension, "J/mol", "an energy per amount of substance", "62866 J/mol")
-FORCE = Dimension("N", "a force", "1800 N")
-WEIGHT = Dimension("N", "a force", "750 N", above=0.0)
-ANGLE = Dimension("rad", "an angle", "1.5 deg")
+_force = partial(Dimension, "N", "a force", usual=FORCES)
+_stress = partial(Dimension, "MPa", "a stress", usual=STRESSES, other_units=("Pa",))
+_modulus = partial(Dimension, "MPa", "a stress", usual=MODULI, other_units=("MPa", "Pa"))
+FORCE = _force("1800 N")
+WEIGHT = _force("750 N", above=0.0)
+ANGLE = Dimension("rad", "an angle", "1.5 deg", usual=ANGLES_IN_USE)
 
 Length = Annotated[float, _length()]
 # The bound keeps volumes from overflow.
 PositiveLength = Annotated[float, _length(above=0.0, at_most=1e10)]
 Angle = Annotated[float, ANGLE]
-PositiveAngle = Annotated[float, Dimension("rad", "an angle", "5 deg", above=0.0)]
-Stress = Annotated[float, Dimension("MPa", "a pressure", "2 MPa")]
-PositiveStress = Annotated[float, Dimension("MPa", "a stress", "2 MPa", above=0.0)]
-Modulus = Annotated[float, Dimension("MPa", "a stress", "110 GPa", above=0.0)]
+PositiveAngle = Annotated[float, replace(ANGLE, example="5 deg", above=0.0)]
+Stress = Annotated[float, replace(_stress("2 MPa"), what="a pressure")]
+PositiveStress = Annotated[float, _stress("2 MPa", above=0.0)]
+Modulus = Annotated[float, _modulus("110 GPa", above=0.0)]
 Stiffness = Annotated[float, _stiffness(at_least=0.0)]
 PositiveStiffness = Annotated[float, _stiffness(above=0.0)]
 Newton = Annotated[float, FORCE]
@@ -386,7 +430,8 @@ PositiveTime = Annotated[float, _time(above=0.0)]
 Temperature = Annotated[float, AbsoluteTemperature()]
 PositiveDifference = Annotated[float, _difference(above=0.0)]
 Conductivity = Annotated[float, Dimension("W/(m*K)", "a conductivity", "0.2 W/(m K)", above=0.0)]
-Density = Annotated[float, Dimension("tonne/mm^3", "a density", "1100 kg/m^3", above=0.0)]
+_density = partial(Dimension, usual=DENSITIES, other_units=("g/cm^3",))
+Density = Annotated[float, _density("tonne/mm^3", "a density", "1100 kg/m^3", above=0.0)]
 SpecificHeat = Annotated[float, _specific_heat]
 ExpansionCoefficient = Annotated[float, _expansion]
 HeatDensity = Annotated[float, _heat]

@@ -6,6 +6,7 @@ Input is doubtful if a unit looks wrong, if nothing acts, or if elements lock.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,13 +15,14 @@ from app.case.case import Case
 from app.case.library import ORIGIN
 from app.case.run_options import Stage
 from app.case.section_loads import section_loads, table_of_section_loads
-from app.foundation.layout import plain_text, several
+from app.foundation.layout import fixed, plain_text, several
 from app.foundation.verdict import Verdict, note
 from app.laws.cycle_tables import ROTATIONS
 from app.laws.interface_laws import insertion_stages
-from app.laws.values import MEMORY
+from app.laws.values import MEMORY, USUAL_INTERFERENCE
 from app.scene.scene import build_scene
 from app.schema.section import Section, added_keys, is_given
+from app.schema.units import Plain
 from app.soundness.cost import solid
 
 
@@ -131,7 +133,13 @@ def _entries(model: Section, given_values: object, indent: int = 2) -> Iterable[
         origin = ""
         if key not in source:
             origin = f"  [{'from the file' if key in model.from_file else 'default'}]"
-        yield f"{' ' * indent}{key}: {value_text}{note}{origin}"
+        unit = next((f" {m.unit}" for m in _numbers(model, key) if m.unit), "")
+        yield f"{' ' * indent}{key}: {value_text}{unit}{note}{origin}"
+
+
+def _numbers(model: Section, key: str) -> list[Plain]:
+    """Marks of a key that is a number without a written unit; none of another key."""
+    return [m for m in type(model).model_fields[key].metadata if isinstance(m, Plain)]
 
 
 def _table(entries: Mapping[str, Section]) -> list[str]:
@@ -142,13 +150,23 @@ def _table(entries: Mapping[str, Section]) -> list[str]:
         kind, place = fields.pop("kind", ""), fields.pop("boundary", "")
         descriptions = [f"{kind} on {place}" if place else kind] if kind else []
         value_texts = {
-            k: getattr(getattr(entry, k), "description", plain_text(v)) for k, v in fields.items()
+            k: _point(v) if k == "at" else getattr(getattr(entry, k), "description", plain_text(v))
+            for k, v in fields.items()
         }
         descriptions += [
             f"{k} {value_text}" for k, value_text in value_texts.items() if k not in ORIGIN
         ]
         lines.append(f"  {name}: {', '.join(descriptions)}")
     return lines or ["  none"]
+
+
+def _point(coordinates: object) -> str:
+    """Coordinates of a point with their unit, to 0.1 mm."""
+    return re.sub(
+        r"-?\d+\.\d+(?:e[+-]?\d+)?",
+        lambda number: fixed(float(number[0])).removesuffix(".0"),
+        plain_text(coordinates),
+    )
 
 
 def _not_measured(case: Case) -> Iterable[str]:
@@ -224,6 +242,8 @@ HIP_FORCES = (20.0, 5e4)
 PEAK = 0.95
 # Friction coefficient above which a note asks for its unit: porous metal in bone has 1.5.
 MOST_FRICTION = 5.0
+# Radial interference of bodies other than bone above which a note is given [mm].
+MUCH_INTERFERENCE = 0.1
 # Largest usual height of a stem's shoulder above the neck cut [mm].
 MOST_PROUD = 15.0
 
@@ -263,6 +283,7 @@ def input_notes(case: Case) -> list[Verdict]:
     notes += _without_effect(case)
     notes += _open_conductances(case)
     notes += _proud(case)
+    notes += _large_interferences(case)
     limits = dict.fromkeys(("temperature", "ambient"), TEMPERATURES)
     for name, condition in case.heat.items():
         notes += _far_off(f"heat.{name}", condition, limits)
@@ -458,6 +479,25 @@ def _proud(case: Case) -> Iterable[Verdict]:
             f"{MOST_PROUD:g} mm. Is geometry.tip_z or geometry.insertion.depth wrong?"
         )
         yield note(message, "geometry")
+
+
+def _large_interferences(case: Case) -> Iterable[Verdict]:
+    """Notes on large interferences where no bone is; those of bone are notes of `press_fit`."""
+    bones = {*case.of_tissue("bone")}
+    for name, law in case.interfaces.items():
+        first, second = case.geometry.interface_sides[name]
+        if bones.intersection((*first, *second)):
+            continue
+        for path, surface in law.gaps.items():
+            key, most = "interference", surface.interference
+            if isinstance(most, tuple):
+                most = max(length for _, length in most)
+            elif isinstance(surface.gap, float) and surface.gap < 0.0:
+                key, most = "gap", -surface.gap
+            if isinstance(most, float) and most > MUCH_INTERFERENCE:
+                place = ".".join(("interfaces", name, *path, key))
+                message = f"is an interference of {most:g} mm; strains may not be small"
+                yield note(message, place, f"usual: {USUAL_INTERFERENCE}, along the normal")
 
 
 def _far_off(place: str, part: Section | None, limits: Mapping[str, Range]) -> Iterable[Verdict]:

@@ -46,6 +46,10 @@ WORDS = {
     "contact law": "interfaces.<name> of kind contact",
     "mortar": "interfaces.<name>.quadrature ",
     "figure": "output.report",
+    "broach": "geometry.canal.ream",
+    "finite": "interfaces.<name>.sliding ",
+    "multigrid": "solver.linear",
+    "quarter": "geometry.sector ",
 }
 # Further lines of some answers.
 FURTHER = {
@@ -60,6 +64,8 @@ FURTHER = {
     "tolerance": ["time.tolerance"],
     "gruen": ["Gruen zone: "],
     "contact law": ["of kind cohesive", "contact law: relation of gap and contact traction"],
+    "broach": ["value none, by, broach"],
+    "multigrid": ["multigrid: preconditioner"],
     "mortar": ["mortar: integral coupling"],
     "figure": ["figure: picture of a run", "docs/paper.md"],
 }

@@ -46,7 +46,7 @@ Single-limb stance, titanium stem, 4 mm mantle; changed: cement_thickness 0.3 cm
     friction_coefficient: 0.4
   shaft: fixed on distal_cut
   hip: force on stem_trunnion, force [-399.5, -159.9, -1747.8] N, at [43, 0, 54] mm
-  psoas: force on psoas, force [11.8, 35.3, 100] N, at [21.035, -1.503, -7] mm
+  psoas: force on psoas, force [11.8, 35.3, 100] N, at [21, -1.5, -7] mm
   sum of the forces at the end: [0.1, -0.1, -503.4] N, 503.4 N
 not measured
   assumed: regions stem, cement, cancellous_bone; all loads

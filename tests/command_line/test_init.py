@@ -150,8 +150,21 @@ def test_init_refuses(
     assert main(["init", "new", *arguments]) == 2
     assert capsys.readouterr().err.startswith(message)
     assert not Path("new.yaml").exists()
-    assert main(["init", "none/new"]) == 5
-    assert capsys.readouterr().err == "cannot write none/new.yaml: No such file or directory\n"
+
+
+@pytest.mark.parametrize("options", [[], ["--cementless"], ["--labels", "labels.nii.gz"]])
+def test_init_names_a_missing_folder(
+    options: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The file of labels is not read before."""
+    monkeypatch.chdir(tmp_path)
+    Path("labels.nii.gz").touch()
+    assert main(["init", "none/new", *options]) == 2
+    message = "none/new.yaml: folder none does not exist; make it first\n"
+    assert capsys.readouterr().err == message
 
 
 def test_init_names_all_missing_files_as_typed(

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from app.foundation.layout import alternatives, percent, plain_text, rounded_count, two_digits
+from app.foundation.layout import (
+    alternatives,
+    fixed,
+    percent,
+    plain_text,
+    rounded_count,
+    two_digits,
+)
 
 
 @pytest.mark.parametrize(
@@ -56,3 +63,9 @@ def test_layout_writes_rounded_counts_without_an_exponent(number: float, expecte
 )
 def test_layout_lists_alternatives(choices: tuple[str, ...], expected: str) -> None:
     assert alternatives(choices) == expected
+
+
+def test_layout_fixed_has_no_negative_zero() -> None:
+    assert [fixed(v) for v in (-0.04, 0.0, -0.06, 1.25)] == ["0.0", "0.0", "-0.1", "1.2"]
+    assert [fixed(v, sign="+") for v in (-0.04, -0.06, 2.0)] == ["+0.0", "-0.1", "+2.0"]
+    assert fixed(-0.4, 0) == "0"

@@ -148,6 +148,8 @@ def test_contact_laws_augmentation_is_given_or_follows_the_bodies() -> None:
     ("keys", "key", "words"),
     [
         ({"gap": "1 mm", "interference": "1 mm"}, "interference", "is the opposite of `gap`"),
+        ({"gap": "-2 mm"}, "gap", "a negative gap is a radial interference"),
+        ({"interference": "2 mm"}, "interference", "is radial, and 0.01 to 0.02 mm"),
         (
             {"friction_coefficient": 0, "friction_heating": 0.5},
             "friction_heating",

@@ -10,13 +10,14 @@ from pathlib import Path
 import nibabel
 import numpy as np
 import pytest
+import ruamel.yaml
 from scipy.ndimage import affine_transform
 from scipy.spatial import cKDTree
 
 from app.case import case as case_file
 from app.foundation.errors import InputError
 from app.patient import first_case
-from app.patient.geometry import Patient
+from app.patient.geometry import Landmarks, Patient
 from app.soundness.preview import input_notes
 from meshes import femur_bone, room
 from meshes.placement import lengthening
@@ -121,8 +122,13 @@ def test_first_case_says_what_a_scan_lacks(below: float, tmp_path: Path) -> None
 def test_first_case_names_no_keys_that_init_has_not(tmp_path: Path) -> None:
     """A message on keys of a case says how to give them."""
     folder = scan(tmp_path, 40.0, edges=(1.5, 1.5, 1.5))
-    with pytest.raises(InputError, match=r"landmarks\.shaft .* `mantle init` takes no such keys"):
+    words = r"landmarks\.shaft .* `mantle init` takes no such keys"
+    with pytest.raises(InputError, match=words) as caught:
         first_case.write(folder / "hip", folder / "labels.nii.gz", None, None, None)
+    assert str(caught.value).endswith(first_case.LANDMARKS)
+    text = re.sub("[XYZ]", "1", first_case.LANDMARKS).replace("NUMBER", "1")
+    keys = ruamel.yaml.YAML(typ="safe").load(text)["geometry"]
+    Landmarks.model_validate(keys["landmarks"])
 
 
 def test_first_case_limits_the_leg_length(tmp_path: Path) -> None:

@@ -155,7 +155,11 @@ TRY_CASE = """
 (async () => {
   while (!document.documentElement.dataset.ready) await new Promise(r => setTimeout(r, 20));
   const { least, offset, leg, version } = window.mantlePlace.now;
-  document.getElementById("found").textContent = JSON.stringify({ least, offset, leg, version });
+  const texts = ["about", "numbers", "room", "sliders"].map(
+    id => document.getElementById(id).textContent
+  );
+  const out = { least, offset, leg, version, texts };
+  document.getElementById("found").textContent = JSON.stringify(out);
 })();
 </script>
 """
@@ -208,7 +212,7 @@ def test_placement_page_numbers_equal_those_of_check(
     given = shown["yaml"], shown["before"]["least"]
     best = shown["best"]["yaml"], shown["best"]["least"]
     for text, least in (given, best):
-        keys = ruamel.yaml.YAML(typ="safe").load(text)["geometry"]["insertion"]
+        keys = ruamel.yaml.YAML(typ="safe").load(text)["insertion"]
         case = geometry.model_dump(mode="json", exclude_none=True) | {"insertion": keys}
         hip = Femur.model_validate(case)
         stem = room.StemSurface.of(hip.implant, hip.placement)
@@ -254,6 +258,29 @@ def test_placement_page_of_a_cad_stem_shows_the_numbers_of_check(
     assert found, text
     printed = [float(part) for part in found.groups()]
     assert [shown[key] for key in ("offset", "leg", "version")] == pytest.approx(printed, abs=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (BROWSER and NEEDED), reason="no browser or no libjs-three")
+@pytest.mark.parametrize(
+    ("relative", "words"),
+    [
+        ("neck", "The slider and the key measure version from the neck, the table from the"),
+        ("condyles", "Version is measured from the condyles."),
+    ],
+)
+def test_placement_page_names_the_line_of_version(
+    relative: str, words: str, tmp_path: Path
+) -> None:
+    """The parametric femur has condyles."""
+    source, page = tmp_path / "hip.yaml", tmp_path / "place.html"
+    version = f"version: {{relative_to: {relative}, angle: 0 deg}}"
+    source.write_text(f"base: stance\ngeometry: {{insertion: {{{version}}}}}\n")
+    assert main(["place", str(source), "-o", str(page)]) == 0
+    about, numbers, room_text, sliders = tried(page, TRY_CASE)["texts"]
+    assert words in about and "from the condyles; change" in numbers
+    assert room_text.startswith("Room is the distance of the stem from the widest canal")
+    assert "lateral shift (−medial_offset)" in sliders and "−0.0" not in numbers
 
 
 def test_placement_page_offers_other_stems_with_unit_and_collar(tmp_path: Path) -> None:
@@ -302,10 +329,14 @@ def test_placement_page_replaces_pages_alone(
     """As `mantle mesh` replaces its files; a file of another kind stays."""
     case, source = read(tmp_path)
     page, text = tmp_path / "place.html", source.read_text()
-    shutil.copy(written[1], page)
+    placement_page.write(case, source, page)
     page.write_text(page.read_text("utf-8").replace("<title>", "<title>old "), "utf-8")
     assert main(["place", str(source), "-o", str(page)]) == 0
     assert "<title>old " not in page.read_text("utf-8")
+    shutil.copy(written[1], page)
+    with pytest.raises(InputError, match=r"place\.html: is the page of another case; choose"):
+        placement_page.write(case, source, page)
+    assert page.read_bytes() == written[1].read_bytes()
     with pytest.raises(InputError, match=r"hip\.yaml: exists and is not a page"):
         placement_page.write(case, source, source)
     assert source.read_text() == text
@@ -316,10 +347,13 @@ def test_placement_page_refuses_a_case_without_a_stem(
 ) -> None:
     assert main(["place", "blocks", "-o", str(tmp_path / "place.html")]) == InputError.exit_code
     assert "blocks has no stem to place; expected femur or patient" in capsys.readouterr().err
+    page = str(tmp_path / "place.html")
+    assert main(["place", "iso_7206_4", "-o", page]) == InputError.exit_code
+    assert "as a pot on a test bench is; expected a stem in bone" in capsys.readouterr().err
 
 
 def test_placement_page_is_linked_by_check(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", "stance"]) == 0
     text = capsys.readouterr().out
-    assert re.search(r"to place the stem by eye: \S+ place stance", text)
+    assert re.search(r"to place the stem by eye: \S+ place stance; --mesh checks that the", text)
     assert "head of the stem: offset 43.0 mm (+0.0 against the intact head)" in text

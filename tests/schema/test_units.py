@@ -52,6 +52,33 @@ def test_units_do_not_change_the_value(number: int, power: int) -> None:
     assert len(results) == 1
 
 
+@pytest.mark.parametrize(
+    ("kind", "number", "hint"),
+    [
+        (units.Modulus, "110000", "'110000 MPa'"),
+        (units.Modulus, "110", "'110 GPa' or '110 MPa'"),
+        (units.Modulus, "2.2", "'2.2 GPa'"),
+        (units.Modulus, "1.1e11", "'1.1e11 Pa'"),
+        (units.Modulus, "1e-4", "'110 GPa'"),
+        (units.PositiveStress, "2e6", "'2e6 Pa'"),
+        (units.Density, "4.43", "'4.43 g/cm^3'"),
+        (units.Density, "1190", "'1190 kg/m^3'"),
+        (Temperature, "310", "'310 K'"),
+        (Temperature, "37", "'37 degC'"),
+        (units.ExpansionCoefficient, "80", "'80e-6 1/K'"),
+        (units.PositiveDifference, "0", "'0 K'"),
+        (Length, "147", "'147 mm'"),
+    ],
+)
+def test_units_hint_gives_a_unit_in_which_the_number_is_usual(
+    kind: object, number: str, hint: str
+) -> None:
+    with pytest.raises(ValidationError) as refused:
+        TypeAdapter(kind).validate_python(number)
+    (error,) = refused.value.errors()
+    assert error["msg"] == f"'{number}' needs a unit, e.g. {hint}"
+
+
 @given(st.text(max_size=30) | units_at_random)
 def test_units_any_text_is_a_length_or_an_error(text: str) -> None:
     try:

@@ -34,6 +34,25 @@ def test_preview_notes_input_without_effect() -> None:
 
 
 @pytest.mark.parametrize(
+    ("key", "note"),
+    [
+        ("gap: -0.5 mm", "interfaces.stem_cement.gap: is an interference of 0.5 mm"),
+        ("zones: {a: {above: 8 mm, gap: -0.3 mm}}", "interfaces.stem_cement.zones.a.gap: is an"),
+        ("interference: [[0 mm, 0 mm], [20 mm, 0.2 mm]]", "interfaces.stem_cement.interference: "),
+        ("gap: -0.02 mm", None),
+        ("gap: 0.5 mm", None),
+        ("gap: 0 * x - 0.5", None),  # known on the mesh
+    ],
+)
+def test_preview_notes_large_interferences_without_bone(key: str, note: str | None) -> None:
+    law = f"interfaces.stem_cement={{kind: contact, friction_coefficient: 0.4, {key}}}"
+    case = load_case(CONFIGS / "cylinders.yaml", (law,)).config
+    notes = [text for text in texts(case) if "strains may not be small" in text]
+    assert len(notes) == (note is not None)
+    assert note is None or (notes[0].startswith(note) and "usual: 0.01 to 0.02 mm" in notes[0])
+
+
+@pytest.mark.parametrize(
     ("up", "cut", "height"),
     [(0.0, 5.0, None), (10.0, 5.0, None), (25.0, 5.0, 29.7), (0.0, -7, 16.7)],
 )
