@@ -423,7 +423,9 @@ def test_floating_bodies_of_state_stem_without_friction_is_free_for_any_friction
 
 
 @pytest.mark.parametrize(("of_zone", "warned"), [(0.1, True), (0.3, False)])
-def test_floating_bodies_slide_at_the_friction_of_zones(of_zone: float, warned: bool) -> None:
+def test_floating_bodies_of_state_slide_at_the_friction_of_zones(
+    of_zone: float, warned: bool
+) -> None:
     """Friction is a tenth of the pressure: the limit of a zone that covers the interface."""
     zone = f"{{all: {{above: 0 mm, friction_coefficient: {of_zone}}}}}"
     law = f"{{kind: contact, friction_coefficient: 0.5, zones: {zone}}}"
