@@ -271,7 +271,7 @@ class Bearing:
         """The columns of `slave_amounts` at points after a step (n, 3)."""
         rows, before = self._rows, self.slave_amounts[:, 0]
         energy, slid = samples.dissipation[rows], self._weight * samples.path[rows]
-        # Without friction no energy tells how far the normal force slid.
+        # Energy over μ is this amount. Without friction it is summed over the steps.
         force_times_slid = before[:, 2] + samples.pressure[rows] * (slid - before[:, 1])
         has_friction = self._friction > 0
         np.divide(energy, self._friction, out=force_times_slid, where=has_friction)

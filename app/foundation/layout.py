@@ -49,7 +49,7 @@ def percent(value: float) -> str:
 
 def fixed(number: float, digits: int = 1, sign: str = "") -> str:
     """Number with so many decimals, without a negative zero; with ``+``, always with its sign."""
-    return f"{round(float(number), digits) + 0.0:{sign}.{digits}f}"
+    return f"{number:{sign}z.{digits}f}"
 
 
 def two_digits(number: float) -> str:

@@ -172,6 +172,16 @@ class GapKeys(Protocol):
         """Radial interference [mm], an expression, or pairs of height and length [mm]."""
 
 
+def most_interference(surface: GapKeys) -> tuple[str, float]:
+    """Key and largest number of an interference, also of a negative gap [mm]; 0 of expressions."""
+    interference, gap = surface.interference, surface.gap
+    if isinstance(interference, tuple):
+        return "interference", max(length for _, length in interference)
+    if isinstance(interference, float):
+        return "interference", interference
+    return "gap", -gap if isinstance(gap, float) else 0.0
+
+
 class InterfaceLaw(Extensible):
     """Base of the interface laws. Each subclass with a `kind` is a law.
 

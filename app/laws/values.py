@@ -30,6 +30,8 @@ FractureEnergyField = Annotated[
 LengthField = Annotated[float | str, Varying(Dimension("mm", "a length", "0.05 mm"))]
 # Largest radial interference [mm]: strains of bone are a few percent.
 MOST_INTERFERENCE = 1.0
+# Above this bone would be crushed, which is not modelled; docs/howto/cementless.md [mm].
+MUCH_INTERFERENCE = 0.1
 # Its usual size in bone, as text.
 USUAL_INTERFERENCE = "0.01 to 0.02 mm"
 _INTERFERENCE = Dimension(

@@ -6,9 +6,8 @@ follows from the law P alone:
 .. math:: F_h = H P(λ + M F_h),
 
 with λ the multiplier without F_h, H the projector on the prescribed directions and M the share of
-the multiplier. Where the jump
-changes in the step, `respond` solves for F_h at each point. Where the jump is at rest, F_h is the
-friction of the last converged state.
+the multiplier. Where the jump changes in the step, `respond` solves for F_h at each point. Where
+the jump is at rest, F_h is the friction of the last converged state.
 
 F_h is along the prescribed slip, so its size is one unknown per point. The residual H P - F_h is
 >= 0 at F_h = 0 and < 0 at the upper bound, so between them it changes sign. Each iterate of

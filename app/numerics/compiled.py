@@ -7,8 +7,6 @@ import os
 import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
-from importlib.machinery import EXTENSION_SUFFIXES
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +46,7 @@ def compiled(
     folder = Path(jit.get_options()["cache_dir"])
     if form_cache.usable(folder, name):
         with suppress(ImportError):  # a damaged module is compiled again
-            return _load(folder, name)
+            return form_cache.load(folder, name)
     folder.mkdir(parents=True, exist_ok=True)
     ffi = cffi.FFI()
     ffi.cdef(declarations)
@@ -65,12 +63,4 @@ def compiled(
         mark.write_text(str(module.stat().st_size))
         for path in (module.with_name(f"{name}.c"), module, mark):
             os.replace(path, folder / path.name)
-    return _load(folder, name)
-
-
-def _load(folder: Path, name: str) -> Any:
-    spec = spec_from_file_location(name, folder / (name + EXTENSION_SUFFIXES[0]))
-    assert spec and spec.loader
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return form_cache.load(folder, name)

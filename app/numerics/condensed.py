@@ -49,7 +49,8 @@ from app.numerics.factor import factor_class
 from app.numerics.lifetime import python_mat
 from app.numerics.paired_compliance import PairedCompliance
 from app.numerics.root_work import blas_threads, usable_cores, wait
-from app.numerics.substructures import Substructures, owned_rows, unknowns_of
+from app.numerics.sparse import owned_rows
+from app.numerics.substructures import Substructures, unknowns_of
 from app.numerics.system import MatrixFree, Measure, Reduced
 
 # Singular values of T below this are zero, and so are parts of a row of B across its direction,

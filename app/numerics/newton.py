@@ -311,7 +311,7 @@ class Solver:
     def jacobian(self) -> PETSc.Mat:
         """Assemble the Jacobian at the current state; collective.
 
-        A condensed solver leaves it as it was: it iterates on the reduced system.
+        A condensed solver has not assembled it, because it iterates on the reduced system.
         """
         self.linear.update(self.blocks())
         return self.linear.matrix

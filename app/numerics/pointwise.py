@@ -18,8 +18,6 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
-from importlib.machinery import EXTENSION_SUFFIXES
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -236,12 +234,7 @@ def _load_kernel(noted: dict[str, Any]) -> tuple[Kernel, Any, ModuleType] | None
     # ffcx writes this mark when its compiler has finished, and trusts no module without it.
     if not form_cache.usable(folder, kernel.module):
         return None
-    path = folder / (kernel.module + EXTENSION_SUFFIXES[0])
-    spec = spec_from_file_location(kernel.module, path)
-    if spec is None or spec.loader is None:
-        return None
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = form_cache.load(folder, kernel.module)
     return kernel, getattr(module.lib, kernel.symbol), module
 
 

@@ -188,7 +188,7 @@ class Inverse:
         self._matrix, self._version, self.coarse_order = matrix, version, coarse_order
         self._options = dict(options)
         self._set_up_version: int | None = None
-        self._smoothed: SinglePrecision | None = None  # what multigrid by degree smooths with
+        self._smoothed: SinglePrecision | None = None  # the smoother's, in use
         self.pc = PETSc.PC().create(matrix.comm)
         self._krylov = PETSc.KSP().create(matrix.comm)
         self._krylov.setType("cg")
@@ -221,13 +221,14 @@ class Inverse:
         pc = self.pc
         pc.setReusePreconditioner(False)
         pc.setOptionsPrefix(f"mantle_inverse_{id(self)}_")
-        pc.setOperators(self._matrix)
+        operator, self._smoothed = self._matrix, None
         if self._options["pc_type"] == MULTIGRID_BY_DEGREE["pc_type"]:
             pc.reset()  # levels would keep the diagonal blocks of the matrix before
             self._set_coarse_level()
             self._smoothed = SinglePrecision(self._matrix)
+            operator = self._smoothed.matrix
             pc.setUseAmat(True)
-            pc.setOperators(self._smoothed.matrix, self._matrix)
+        pc.setOperators(operator, self._matrix)
         configure(pc, self._options)
         if pc.getFailedReason() == PETSc.PC.FailedReason.FACTOR_OUTMEMORY:
             raise MemoryError(f"factorization of a matrix of {self.size:,} unknowns")

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from app.foundation.arrays import Ints
 from app.numerics.compiled import compiled
 from app.numerics.lifetime import python_mat
+from app.numerics.sparse import owned_rows
 
 C_DECLARATIONS = """
 void multiply(int64_t n, int64_t ghosts, const int64_t *start, const int64_t *upper,
@@ -137,19 +138,13 @@ class SinglePrecision:
 
 def _blocks_to_store(A: PETSc.Mat) -> tuple[Ints, Ints, NDArray[np.float32]]:
     """Local row, global column and values (n, 3, 3) of blocks; no lower triangle of owned nodes."""
-    from scipy.sparse import csr_array  # imported late: small cases do not need it
-
     begin, end = (row // 3 for row in A.getOwnershipRange())
-    start, columns, values = A.getValuesCSR()
+    scalar_rows = owned_rows(A)
     parts = []
     # At least once: a rank without nodes has empty arrays.
     for first in range(0, max(end - begin, 1), NODES_AT_A_TIME):
         last = min(first + NODES_AT_A_TIME, end - begin)
-        part = slice(start[3 * first], start[3 * last])
-        rows = csr_array(
-            (values[part], columns[part], start[3 * first : 3 * last + 1] - part.start),
-            shape=(3 * (last - first), A.getSize()[1]),
-        ).tobsr((3, 3))
+        rows = scalar_rows[3 * first : 3 * last].tobsr((3, 3))
         row = first + np.repeat(np.arange(last - first), np.diff(rows.indptr))
         is_stored = (rows.indices < begin) | (rows.indices >= begin + row)
         parts.append(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -12,6 +13,9 @@ from dolfinx.common import IndexMap
 from numpy.typing import NDArray
 
 from app.foundation.arrays import Floats, Ints
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 def owners(comm: MPI.Comm, index_map: IndexMap, dof: Ints) -> tuple[Ints, Ints]:
@@ -117,3 +121,11 @@ def diagonal_blocks(matrix: PETSc.Mat, size: int) -> Floats:
     blocks = np.zeros(((len(row_starts) - 1) // size, size, size))
     blocks[rows[k] // size, rows[k] % size, columns[k] % size] = values[k]
     return blocks
+
+
+def owned_rows(A: PETSc.Mat) -> csr_array:
+    """Rows of a matrix that this rank has, with all columns."""
+    from scipy.sparse import csr_array  # imported late: small cases do not need it
+
+    row_starts, columns, values = A.getValuesCSR()
+    return csr_array((values, columns, row_starts), shape=(len(row_starts) - 1, A.getSize()[1]))

@@ -27,6 +27,7 @@ from app.foundation.arrays import Floats, Ints
 from app.numerics.dense import mirror_upper
 from app.numerics.factor import factor_class
 from app.numerics.root_work import blas_threads, usable_cores, wait
+from app.numerics.sparse import owned_rows
 
 # K, C and D, distributed by rows.
 Matrices = tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]
@@ -253,12 +254,6 @@ class Substructures:
         unknowns[self._owned_interior] = self._factor.expand(border[self._touched_border])
         unknowns[self._owned_border] = border[self._border_place_of_owned]
         return unknowns
-
-
-def owned_rows(A: PETSc.Mat) -> csr_array:
-    """Rows of a matrix that this rank has, with all columns."""
-    row_starts, columns, values = A.getValuesCSR()
-    return csr_array((values, columns, row_starts), shape=(len(row_starts) - 1, A.getSize()[1]))
 
 
 def unknowns_of(nodes: Ints) -> Ints:

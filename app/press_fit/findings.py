@@ -16,7 +16,8 @@ from app.case.number_text import in_print
 from app.case.quantities import TABLE
 from app.case.summary import Numbers, Summary
 from app.foundation.verdict import Severity, Verdict, note
-from app.laws.interface_laws import GapKeys, insertion_stages
+from app.laws.interface_laws import insertion_stages, most_interference
+from app.laws.values import MUCH_INTERFERENCE
 from app.results.closing_lines import CEMENT_NUMBER
 from app.results.verdicts import result_verdict
 from app.schema.yaml_file import Fault
@@ -26,8 +27,6 @@ from app.soundness.preview import input_note
 YIELD = 0.007
 # Strains of bone after the insertion that are compared with it, and the verb of the sentence.
 STRAINS = {"insertion_hoop_strain_p99": "strains", "insertion_compressive_strain_p99": "compresses"}
-# Radial interference above which elastic bone has no meaning [mm]; docs/howto/cementless.md.
-MUCH_INTERFERENCE = 0.1
 # Rise of a stem by the insertion, and mean gap of its collar, above which a warning is given [mm].
 RAISED = 0.003
 # Part of the collar's area above which it does not rest on the bone.
@@ -112,16 +111,6 @@ def _areas(name: str, motion: str, q: Numbers) -> str:
     return text
 
 
-def _most_interference(surface: GapKeys) -> tuple[str, float]:
-    """Key and largest number of an interference, also of a negative gap [mm]; 0 of expressions."""
-    interference, gap = surface.interference, surface.gap
-    if isinstance(interference, tuple):
-        return "interference", max(length for _, length in interference)
-    if isinstance(interference, float):
-        return "interference", interference
-    return "gap", -gap if isinstance(gap, float) else 0.0
-
-
 @input_note
 def _interference(case: Case) -> Iterable[Verdict]:
     """Notes on interferences of bone that are far above the range in which it is elastic."""
@@ -131,7 +120,7 @@ def _interference(case: Case) -> Iterable[Verdict]:
         if not bones.intersection((*first, *second)):
             continue
         for path, surface in law.gaps.items():
-            key, most = _most_interference(surface)
+            key, most = most_interference(surface)
             if most > MUCH_INTERFERENCE:
                 pressed = "presses bone by" if key == "interference" else "is an interference of"
                 message = f"{pressed} {most:g} mm; bone is elastic here and is not crushed"

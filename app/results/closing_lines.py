@@ -206,12 +206,9 @@ def _table(section: str, rows: Rows) -> list[str]:
     cells = [[name, *(cell(t, numbers) for t in templates)] for name, numbers in rows.items()]
     cells = [row for row in cells if any(map(has_number, row[1:]))]
     units = ["", *(quantities[column_template.split()[0]].shown for column_template in templates)]
-    table = [
-        column
-        for column in zip(columns, units, *cells, strict=True)
-        if column[0] == next(iter(columns)) or any(map(has_number, column[2:]))
-    ]
-    titles, units, *cells = (list(row) for row in zip(*table, strict=True))
+    names, *others = zip(columns, units, *cells, strict=True)
+    columns_with_numbers = [c for c in others if any(map(has_number, c[2:]))]
+    titles, units, *cells = map(list, zip(names, *columns_with_numbers, strict=True))
     return layout.text_table(titles, cells, units).splitlines() if cells else []
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 
 from app.case.case import Case
+from app.case.quantities import Quantity
 from app.case.summary import BoneInfluence, Summary
 from app.case.summary_numbers import main_numbers
 from app.foundation.layout import percent
@@ -67,19 +68,17 @@ def _changes(first: Summary, second: Summary) -> tuple[dict[str, list[float]], s
     values_of_second = {name: value for name, _, value, _ in main_numbers(second)}
     numbers_of_both = dict[str, list[float]]()
     relative = dict[str, float]()
-    values_in_words = dict[str, str]()
+    quantities = dict[str, Quantity]()
     for name, q, first_value, _ in main_numbers(first):
         second_value = values_of_second.get(name)
         if q.order and first_value is not None and second_value is not None:
             numbers_of_both[name] = [first_value, second_value]
             size = reference_size(first_value, q, largest)
             relative[name] = abs(second_value - first_value) / size if size else 0.0
-            first_text, second_text = (
-                q.text({q.key: value}) for value in (first_value, second_value)
-            )
-            values_in_words[name] = f"{first_text} and {second_text} {q.shown}"
+            quantities[name] = q
     if not numbers_of_both:
         return numbers_of_both, ""
     most_changed = max(relative, key=lambda full_name: relative[full_name])
-    change = percent(relative[most_changed])
-    return numbers_of_both, f"{change} ({most_changed}: {values_in_words[most_changed]})"
+    change, q = percent(relative[most_changed]), quantities[most_changed]
+    first_text, second_text = (q.text({q.key: value}) for value in numbers_of_both[most_changed])
+    return numbers_of_both, f"{change} ({most_changed}: {first_text} and {second_text} {q.shown})"

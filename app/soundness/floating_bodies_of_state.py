@@ -287,6 +287,8 @@ def error_of_expelled_body(problem: Problem, trial: TrialState) -> Verdict | Non
     state is in equilibrium wherever the body is, so the loads need not act for it to be wrong.
     """
     contact, comm = trial.contact, problem.comm
+    if not any(c.press_fit for c in problem.scene.parting_interfaces):
+        return None
     overlaps = -contact.gaps.openings(np.zeros_like(trial.jump)).min(axis=1)
     openings = contact.gaps.openings(trial.jump).max(axis=1)
     for i, c in enumerate(problem.scene.parting_interfaces):

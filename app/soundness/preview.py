@@ -18,8 +18,8 @@ from app.case.section_loads import section_loads, table_of_section_loads
 from app.foundation.layout import fixed, plain_text, several
 from app.foundation.verdict import Verdict, note
 from app.laws.cycle_tables import ROTATIONS
-from app.laws.interface_laws import insertion_stages
-from app.laws.values import MEMORY, USUAL_INTERFERENCE
+from app.laws.interface_laws import insertion_stages, most_interference
+from app.laws.values import MEMORY, MUCH_INTERFERENCE, USUAL_INTERFERENCE
 from app.scene.scene import build_scene
 from app.schema.section import Section, added_keys, is_given
 from app.schema.units import Plain
@@ -242,8 +242,6 @@ HIP_FORCES = (20.0, 5e4)
 PEAK = 0.95
 # Friction coefficient above which a note asks for its unit: porous metal in bone has 1.5.
 MOST_FRICTION = 5.0
-# Radial interference of bodies other than bone above which a note is given [mm].
-MUCH_INTERFERENCE = 0.1
 # Largest usual height of a stem's shoulder above the neck cut [mm].
 MOST_PROUD = 15.0
 
@@ -489,12 +487,8 @@ def _large_interferences(case: Case) -> Iterable[Verdict]:
         if bones.intersection((*first, *second)):
             continue
         for path, surface in law.gaps.items():
-            key, most = "interference", surface.interference
-            if isinstance(most, tuple):
-                most = max(length for _, length in most)
-            elif isinstance(surface.gap, float) and surface.gap < 0.0:
-                key, most = "gap", -surface.gap
-            if isinstance(most, float) and most > MUCH_INTERFERENCE:
+            key, most = most_interference(surface)
+            if most > MUCH_INTERFERENCE:
                 place = ".".join(("interfaces", name, *path, key))
                 message = f"is an interference of {most:g} mm; strains may not be small"
                 yield note(message, place, f"usual: {USUAL_INTERFERENCE}, along the normal")

@@ -16,7 +16,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from importlib.machinery import EXTENSION_SUFFIXES
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from types import ModuleType
 from typing import TypeVar
 
 from app.foundation import files
@@ -68,6 +70,20 @@ def usable(folder: Path, name: str) -> bool:
         return is_whole and source.exists() and module.exists()
     except OSError:
         return False
+
+
+def load(folder: Path, name: str) -> ModuleType:
+    """Load a compiled module.
+
+    Raises:
+        ImportError: It is missing or damaged.
+    """
+    spec = spec_from_file_location(name, folder / (name + EXTENSION_SUFFIXES[0]))
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{name}: no module can be loaded from its file")
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def _get_or_lock(

@@ -43,7 +43,7 @@ def record(
     Args:
         experiments: The experiments.
         results: Results of all their runs, by name.
-        commit: Commit of the sources, as of `commit_of_sources`.
+        commit: Commit of the sources, from `commit_of_sources`.
 
     Raises:
         InputError: Too few samples are complete.

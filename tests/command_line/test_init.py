@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import math
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,20 @@ $PhysicalNames
 3 4 "marrow"
 $EndPhysicalNames
 """
+
+
+@pytest.fixture
+def error_of_init(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., str]:
+    """Return the error of `mantle init`, which ends with exit code 2, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str) -> str:
+        assert main(["init", *arguments]) == 2
+        return capsys.readouterr().err
+
+    return run
 
 
 @pytest.mark.parametrize(
@@ -139,44 +154,28 @@ def test_init_stem_has_the_given_material(tmp_path: Path) -> None:
     ],
 )
 def test_init_refuses(
-    arguments: list[str],
-    message: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str], message: str, error_of_init: Callable[..., str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     Path("new.msh").touch()
-    assert main(["init", "new", *arguments]) == 2
-    assert capsys.readouterr().err.startswith(message)
+    assert error_of_init("new", *arguments).startswith(message)
     assert not Path("new.yaml").exists()
 
 
 @pytest.mark.parametrize("options", [[], ["--cementless"], ["--labels", "labels.nii.gz"]])
-def test_init_names_a_missing_folder(
-    options: list[str],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_init_names_a_missing_folder(options: list[str], error_of_init: Callable[..., str]) -> None:
     """The file of labels is not read before."""
-    monkeypatch.chdir(tmp_path)
     Path("labels.nii.gz").touch()
-    assert main(["init", "none/new", *options]) == 2
     message = "none/new.yaml: folder none does not exist; make it first\n"
-    assert capsys.readouterr().err == message
+    assert error_of_init("none/new", *options) == message
 
 
-def test_init_names_all_missing_files_as_typed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_init_names_all_missing_files_as_typed(error_of_init: Callable[..., str]) -> None:
     Path("a.nii.gz").touch()
     missing_ct = "--ct below/../none.nii.gz: no such file or folder\n"
-    assert main(["init", "new", "--labels", "a.nii.gz", "--ct", "below/../none.nii.gz"]) == 2
-    assert capsys.readouterr().err == missing_ct
-    assert main(["init", "new", "--labels", "b.nii.gz", "--ct", "below/../none.nii.gz"]) == 2
-    assert capsys.readouterr().err == f"--labels b.nii.gz: no such file or folder\n{missing_ct}"
+    ct = ("--ct", "below/../none.nii.gz")
+    assert error_of_init("new", "--labels", "a.nii.gz", *ct) == missing_ct
+    missing_labels = "--labels b.nii.gz: no such file or folder\n"
+    assert error_of_init("new", "--labels", "b.nii.gz", *ct) == missing_labels + missing_ct
 
 
 def test_init_lists_names_of_a_mesh(tmp_path: Path) -> None:
