@@ -46,7 +46,7 @@ def compiled(
     folder = Path(jit.get_options()["cache_dir"])
     if form_cache.usable(folder, name):
         with suppress(ImportError):  # a damaged module is compiled again
-            return form_cache.load(folder, name)
+            return form_cache.load_module(folder, name)
     folder.mkdir(parents=True, exist_ok=True)
     ffi = cffi.FFI()
     ffi.cdef(declarations)
@@ -63,4 +63,4 @@ def compiled(
         mark.write_text(str(module.stat().st_size))
         for path in (module.with_name(f"{name}.c"), module, mark):
             os.replace(path, folder / path.name)
-    return form_cache.load(folder, name)
+    return form_cache.load_module(folder, name)

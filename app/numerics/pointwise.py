@@ -234,7 +234,7 @@ def _load_kernel(noted: dict[str, Any]) -> tuple[Kernel, Any, ModuleType] | None
     # ffcx writes this mark when its compiler has finished, and trusts no module without it.
     if not form_cache.usable(folder, kernel.module):
         return None
-    module = form_cache.load(folder, kernel.module)
+    module = form_cache.load_module(folder, kernel.module)
     return kernel, getattr(module.lib, kernel.symbol), module
 
 

@@ -72,7 +72,7 @@ def usable(folder: Path, name: str) -> bool:
         return False
 
 
-def load(folder: Path, name: str) -> ModuleType:
+def load_module(folder: Path, name: str) -> ModuleType:
     """Load a compiled module.
 
     Raises:
