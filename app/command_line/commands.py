@@ -173,11 +173,12 @@ def _check(options: argparse.Namespace) -> int:
         checked = actions.check(case, meshed=True)
     print(checked.size)
     if case.config.geometry.placement_details:
-        program = os.environ.get("MANTLE_CALLED", "mantle")
+        program = shlex.quote(os.environ.get("MANTLE_CALLED", "mantle"))
+        name = shlex.quote(str(options.case))
+        print(f"to place the stem by eye:\n  {program} place {name}")
         # The stem of a patient is checked when the case is read.
-        is_unchecked = case.config.geometry.kind == "femur" and not (options.mesh or options.output)
-        remark = "; --mesh checks that the stem fits" if is_unchecked else ""
-        print(f"to place the stem by eye: {program} place {shlex.quote(str(options.case))}{remark}")
+        if case.config.geometry.kind == "femur" and not (options.mesh or options.output):
+            print(f"to check that the stem fits:\n  {program} check {name} --mesh")
     if options.output:
         from app.report import case_picture
 

@@ -355,5 +355,6 @@ def test_placement_page_refuses_a_case_without_a_stem(
 def test_placement_page_is_linked_by_check(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", "stance"]) == 0
     text = capsys.readouterr().out
-    assert re.search(r"to place the stem by eye: \S+ place stance; --mesh checks that the", text)
+    assert re.search(r"to place the stem by eye:\n  \S+ place stance\n", text)
+    assert re.search(r"to check that the stem fits:\n  \S+ check stance --mesh\n", text)
     assert "head of the stem: offset 43.0 mm (+0.0 against the intact head)" in text
