@@ -192,16 +192,17 @@ class PointLaws:
         self.layer_share = np.linalg.inv(np.eye(3) + softer)
         self.unscaled_augmentation = self._layer_stiffness.copy()
         for law, has_law in self._laws:
-            # An r above the layer's stiffness would make `multiplier_share` negative. Remedies may
-            # still multiply it.
             r = law.augmentation_of(self.softest_stiffness[has_law], self._factor)
             self.unscaled_augmentation[has_law] = np.minimum(r, self._layer_stiffness[has_law])
         self.scale_augmentation(self._augmentation_scale)
 
     def scale_augmentation(self, factor: float) -> None:
-        """Multiply the augmentation of the case by a factor, until the next call."""
+        """Multiply the augmentation of the case by a factor, until the next call.
+
+        It stays at or below the stiffness of a layer, above which `multiplier_share` is negative.
+        """
         self._augmentation_scale = factor
-        self.augmentation = factor * self.unscaled_augmentation
+        self.augmentation = np.minimum(factor * self.unscaled_augmentation, self._layer_stiffness)
         layers = self.augmentation[:, None, None] * self.compliance
         self.multiplier_share = np.eye(3) - layers
 

@@ -303,19 +303,31 @@ class Recorder:
         total = {"total": self._wall()}
         return {k: round(v, 3) for k, v in (phases | self._timing.seconds | total).items()}
 
-    def close(self, status: str, verdicts: Sequence[Verdict]) -> None:
-        """Write the last converged state and the verdicts, if the disk allows; collective."""
-        mechanics = self._model.mechanics
-        if mechanics:
-            # The problem still has the loads of the failed step.
-            mechanics.problem.set_time(self.time)
+    def close(
+        self, status: str, verdicts: Sequence[Verdict], summary: Summary | None = None
+    ) -> None:
+        """Write the last converged state and the verdicts, if the disk allows; collective.
+
+        Args:
+            status: Status of the run.
+            verdicts: Reasons why it ends.
+            summary: Summary of that state, if it is known. Its fields are then on disk.
+        """
 
         def finish() -> None:
-            summary = self.unfinished_summary(status)
-            summary["verdicts"] = [verdict.record() for verdict in verdicts]
-            self.writer.finish(summary, complete=False)
+            unfinished = self.unfinished_summary(status) if summary is None else summary
+            records = [verdict.record() for verdict in verdicts]
+            self.writer.finish(unfinished | {"status": status, "verdicts": records}, complete=False)
 
-        for write in (self.flush, finish) if self.step_count else (finish,):
+        writes: tuple[Callable[[], None], ...] = (finish,)
+        if summary is None:
+            mechanics = self._model.mechanics
+            if mechanics:
+                # The problem still has the loads of the failed step.
+                mechanics.problem.set_time(self.time)
+            if self.step_count:
+                writes = (self.flush, finish)
+        for write in writes:
             try:
                 write()
             except StoppedError as error:

@@ -281,21 +281,25 @@ class _CaseRun:
         self._checkpoints = CheckpointWriter(case, model, self._recorder, output, saved_state)
 
     @contextmanager
-    def _last_state_kept(self) -> Iterator[None]:
-        """Write the last converged state to disk if a solve fails or is stopped; collective."""
+    def _last_state_kept(self, summary: Summary | None = None) -> Iterator[None]:
+        """Write the last converged state to disk if a solve fails or is stopped; collective.
+
+        Args:
+            summary: Summary of that state, if it is known: auxiliary runs may change the model.
+        """
         try:
             yield
         except (ConvergenceError, StoppedError) as failure:
             agree(self._setup.comm, failure)
             lines = [Verdict(self._recorder.last_state(), severity=Severity.PLAIN)]
             if isinstance(failure, ConvergenceError):
-                self._recorder.close("not converged", failure.verdicts)
+                self._recorder.close("not converged", failure.verdicts, summary)
                 raise ConvergenceError([*failure.verdicts, *lines]) from failure
             path = self._checkpoints.save()
             if path:
                 message = f"state saved in {path}; --restart auto continues from it"
                 lines.append(Verdict(message, severity=Severity.PLAIN))
-            self._recorder.close("stopped", failure.verdicts)
+            self._recorder.close("stopped", failure.verdicts, summary)
             raise StoppedError([*failure.verdicts, *lines]) from failure
 
     def run(self) -> Summary:
@@ -363,7 +367,7 @@ class _CaseRun:
             return
         # The numbers are on disk before their errors are computed.
         self._writer.finish(summary, complete=False)
-        with setup.timing.phase("error"), self._last_state_kept():
+        with setup.timing.phase("error"), self._last_state_kept(summary):
             summary["error"] = accuracy.add_errors(summary, case, companions, self._model)
         if setup.chosen:
             summary["accuracy"] = accuracy.reached_text(setup.chosen, summary)
@@ -374,7 +378,7 @@ class _CaseRun:
         """Add the influence of the assumed bone, if there is any; collective."""
         if not self._case.geometry.other_bones:
             return
-        with self._setup.timing.phase("influence"), self._last_state_kept():
+        with self._setup.timing.phase("influence"), self._last_state_kept(summary):
             influence = bone_influence.bone_influence(self._case, self._model)
         if influence:
             summary["assumed_bone"] = influence

@@ -60,3 +60,17 @@ def test_point_laws_have_friction_by_point() -> None:
         status = np.full(len(contact.local), STICK)
         found[zone] = contact.unresisted_motions(status).shape[1]
     assert found == {0.0: 3, 0.3: 0}
+
+
+@pytest.mark.parametrize("factor", [0.01, 1.0, 100.0])
+def test_point_laws_augmentation_is_at_most_the_stiffness_of_a_layer(factor: float) -> None:
+    """Remedies scale it; above that stiffness a larger force would have a smaller multiplier."""
+    law = "interfaces.lower_upper={kind: contact, friction_coefficient: 0.3}"
+    layer = "interfaces.lower_upper.elastic_layer={tangential: 50 MPa/mm}"
+    contact = support.assemble(support.case(BLOCKS, law, layer))[0].contact
+    assert contact is not None
+    laws = contact.laws
+    expected = np.minimum(factor * laws.unscaled_augmentation, 50.0)
+    laws.scale_augmentation(factor)
+    np.testing.assert_allclose(laws.augmentation, expected)
+    assert np.linalg.eigvalsh(laws.multiplier_share).min() > -1e-12

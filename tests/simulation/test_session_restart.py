@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.case.case import load_case
+from app.case.case import Case, load_case
+from app.case.summary import Summary
 from app.foundation.errors import StoppedError
 from app.results.reading import Run
 from app.simulation import accuracy
 from app.simulation import model as models
+from app.simulation.model import Model
 from app.simulation.session import run
 from app.system.folders import saved
 from tests import support
@@ -211,6 +213,35 @@ def test_session_restart_after_interrupted_companions(
     run(load_case(case, options), out, restart="auto")
     restarted.assert_same(tmp_path / "whole", out)
     assert restarted.numbers(out)[".error.companions.0"]
+
+
+def test_session_restart_numbers_after_a_stop_in_a_companion_on_the_same_mesh(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The companion with other load steps has the matrices and unknowns of the run."""
+    options = (FIELDS, "output.error=true", "mesh.size=50 mm", "mesh.far_size=50 mm")
+    case, _ = restarted.whole(restarted.RUBBING, tmp_path, *options)
+    models_of_companions = []
+    solve = Model.numbers_of_companion
+
+    def stopped(model: Model, companion: Case) -> Summary:
+        numbers = solve(model, companion)
+        models_of_companions.append(model.deforms_like(companion))
+        if models_of_companions[-1]:
+            raise StoppedError("SIGTERM")
+        return numbers
+
+    monkeypatch.setattr(Model, "numbers_of_companion", stopped)
+    out = tmp_path / "out"
+    out.mkdir()
+    with pytest.raises(StoppedError, match="in its companions"):
+        run(load_case(case, options), out)
+    assert models_of_companions[-1]
+    whole, part = restarted.numbers(tmp_path / "whole"), restarted.numbers(out)
+    assert support.summary(out)["status"] == "stopped"
+    for name in ("interfaces", "regions"):
+        numbers = {k: v for k, v in part.items() if k.startswith(f".{name}.")}
+        assert numbers and numbers.items() <= whole.items()
 
 
 @pytest.mark.parametrize("linear", ["auto", "condensed"])
