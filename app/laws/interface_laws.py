@@ -102,8 +102,7 @@ class AtPoint:
         jump_old: Jump of the last converged state (3,) [mm].
         S_star: Coefficient that replaces the trial force where it is frozen (3,) [MPa].
         normals: Unit normals of one to three faces, from master to slave, each (3,), with duals.
-        r: Augmentation: stiffness of the trial force [MPa/mm]. It is at most that of a layer,
-            unless a remedy of Newton's method multiplies it.
+        r: Augmentation: stiffness of the trial force [MPa/mm]. It is at most that of a layer.
         constants: Constants of the law, by name.
         internal_variables: Internal variables of the last converged state, by name.
         frozen: 1 while the internal variables are frozen, else 0. They are frozen in the first

@@ -268,11 +268,10 @@ class ContactInterfaces:
             stiffness,
             self.points,
             self.local,
-            self.laws,
             has_finite_sliding=self.finite_sliding is not None,
         )
         self.remedies = ContactRemedies(
-            self.comm, self.points, self.local, self.laws, self.motions, self._touching
+            self.comm, self.points, self.local, self.laws, self.motions, self._held_points
         )
         self.begin(scene, augmentation_factor)
 
@@ -347,17 +346,29 @@ class ContactInterfaces:
         is_closed = (self.gaps.openings(self.state.jump) <= 0) & self.local.is_face
         return np.asarray(self.state.force.any(axis=1) | is_closed.any(axis=1))
 
+    def _held_points(self) -> tuple[Bools, Bools]:
+        """Masks of points that touch or are bonded, and that resist any jump (n,)."""
+        state, switches = self.state, self.remedies.switches
+        forces = self.laws.evaluate(state.force, state.jump, self.gaps.initial_gap, state, switches)
+        touching = self._touching() | forces.bonded
+        return touching, self._sticking(touching, forces.bonded)
+
     def is_apart(self) -> bool:
         """Return True if no point touches in the committed state; collective."""
         return not self.comm.allreduce(bool(self._touching().any()), MPI.LOR)
 
-    def unresisted_motions(self, status: Ints) -> Floats:
-        """Rigid motions that nothing resists at states (n,); collective."""
-        return self.motions.unresisted(status, self.remedies.switches.stuck)
+    def unresisted_motions(self, forces: PointForces) -> Floats:
+        """Rigid motions that nothing resists in a state (6 bodies, k); collective."""
+        return self.motions.unresisted(self._sticking(forces.touching, forces.bonded))
 
-    def motions_resisted_by_open_points(self, status: Ints) -> Floats:
+    def motions_resisted_by_open_points(self, forces: PointForces) -> Floats:
         """Rigid motions that only open points resist (6 bodies, k); collective."""
-        return self.motions.resisted_by_open_points(status, self.remedies.switches.stuck)
+        sticking = self._sticking(forces.touching, forces.bonded)
+        return self.motions.resisted_by_open_points(forces.touching, sticking)
+
+    def _sticking(self, touching: Bools, bonded: Bools) -> Bools:
+        """Mask of points that resist any jump, by friction, a bond or a remedy (n,)."""
+        return bonded | self.remedies.switches.stuck | (touching & self.laws.law_has_friction)
 
     def augmentation(self) -> dict[str, float]:
         """Augmentation of each interface that can open [MPa/mm], by name; collective."""

@@ -11,11 +11,10 @@ from functools import cached_property
 
 import numpy as np
 
-from app.foundation.arrays import Bools, Floats, Ints
+from app.foundation.arrays import Bools, Floats
 from app.interfaces.corners import ContactPoints
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact_state import LocalPoints
-from app.mechanics.point_laws import PointLaws
 from app.mechanics.stiffness import Stiffness, support_resistance
 from app.numerics.rigid_motions import (
     FREE_RESISTANCE,
@@ -23,7 +22,6 @@ from app.numerics.rigid_motions import (
     relative_resistance,
     rigid_modes,
 )
-from forms.contact import OPEN
 
 # A body takes part in a free motion of unit size if its components exceed this size.
 MOVING_SIZE = 1e-3
@@ -39,7 +37,6 @@ class ContactMotions:
         stiffness: Their stiffness and supports.
         points: All contact points.
         local: The points of this rank.
-        law: Laws at the points of this rank.
         has_finite_sliding: True if an interface has finite sliding. Then no motion counts as
             unresisted.
     """
@@ -53,80 +50,62 @@ class ContactMotions:
         stiffness: Stiffness,
         points: ContactPoints,
         local: LocalPoints,
-        law: PointLaws,
         *,
         has_finite_sliding: bool,
     ) -> None:
         self._comm = body_forms.mesh.comm
         self._body_forms, self._stiffness = body_forms, stiffness
         self._body_count = len(body_forms.bodies.names)
-        self._points, self._local, self._law = points, local, law
+        self._points, self._local = points, local
         self._has_finite_sliding = has_finite_sliding
 
     def update_supports(self) -> None:
         """Forget the resistance of supports, because other supports act."""
         self._support_resistance = None
 
-    def numbers_of_floating_bodies(self, touched: Bools, stuck: Bools) -> set[int]:
+    def numbers_of_floating_bodies(self, touching: Bools, sticking: Bools) -> set[int]:
         """Numbers of bodies that neither supports nor touching points hold; collective.
 
-        Friction and bonds hold a touching point in all directions, otherwise its faces hold it.
-
         Args:
-            touched: Mask of local points that touch (n,).
-            stuck: Mask of local points that a remedy forces to stick (n,).
+            touching: Mask of local points that touch or are bonded (n,).
+            sticking: Mask of those that resist any jump; the others resist only along the normals
+                of their faces (n,).
         """
-        resists = self._resists_all_jumps(stuck)
         free_motions = self._weakly_resisted_motions(
-            touched & resists, touched & ~resists, FREE_RESISTANCE
+            sticking, touching & ~sticking, FREE_RESISTANCE
         )
         takes_part = (
             np.linalg.norm(free_motions.reshape(self._body_count, -1), axis=1) > MOVING_SIZE
         )
         return {int(body) for body in np.flatnonzero(takes_part)}
 
-    def unresisted(self, status: Ints, stuck: Bools) -> Floats:
-        """Rigid motions that nothing resists in a state (6 bodies, k); collective.
+    def unresisted(self, sticking: Bools) -> Floats:
+        """Rigid motions that nothing resists (6 bodies, k); collective.
 
-        In such a motion bodies slide along all their faces, touching or not. No touching point with
-        friction slides. Forces and gaps do not change. An example is the rotation of a
-        frictionless stem about its axis. Motions have the components of `relative`. There
-        are none with finite sliding.
+        In such a motion bodies slide along all their faces, touching or not, and no sticking point
+        moves. Forces and gaps do not change. An example is the rotation of a frictionless stem
+        about its axis. Motions have the components of `relative`. There are none with finite
+        sliding.
 
         Args:
-            status: States of local points (n,).
-            stuck: Mask of local points that a remedy forces to stick (n,).
+            sticking: Mask of local points that resist any jump (n,).
         """
         if self._has_finite_sliding:
             return np.zeros((6 * self._body_count, 0))
-        touch = (status != OPEN) | stuck
-        stick = touch & self._resists_all_jumps(stuck)
-        return self._weakly_resisted_motions(stick, ~stick, ZERO_RESISTANCE)
+        return self._weakly_resisted_motions(sticking, ~sticking, ZERO_RESISTANCE)
 
-    def resisted_by_open_points(self, status: Ints, stuck: Bools) -> Floats:
+    def resisted_by_open_points(self, touching: Bools, sticking: Bools) -> Floats:
         """Rigid motions that only open points resist (6 bodies, k); collective.
 
-        The motions of `unresisted` are not among them.
-
-        Args:
-            status: States of local points (n,).
-            stuck: Mask of local points that a remedy forces to stick (n,).
+        The motions of `unresisted` are not among them. Arguments are those of
+        `numbers_of_floating_bodies`.
         """
         if self._has_finite_sliding:
             return np.zeros((6 * self._body_count, 0))
-        touch = (status != OPEN) | stuck
-        resists = self._resists_all_jumps(stuck)
         weakly_resisted = self._weakly_resisted_motions(
-            touch & resists, touch & ~resists, FREE_RESISTANCE
+            sticking, touching & ~sticking, FREE_RESISTANCE
         )
-        return motions_outside(weakly_resisted, self.unresisted(status, stuck))
-
-    def _resists_all_jumps(self, stuck: Bools) -> Bools:
-        """Mask of points that resist any jump if they touch (n,).
-
-        Friction, a bond, or a remedy resists.
-        """
-        return self._law.law_has_friction | ~self._law.law_is_contact | stuck
+        return motions_outside(weakly_resisted, self.unresisted(sticking))
 
     def _weakly_resisted_motions(self, stick: Bools, slide: Bools, threshold: float) -> Floats:
         """Rigid motions resisted by less than a threshold (6 bodies, k); collective.

@@ -35,7 +35,8 @@ class ContactRemedies:
         local: The points of this rank.
         laws: Laws at the points of this rank.
         motions: Rigid motions of the bodies at the points.
-        touching: Returns a mask of the points that touch (n,).
+        held_points: Returns masks of the points that touch or are bonded, and of those that resist
+            any jump (n,).
     """
 
     def __init__(
@@ -45,10 +46,10 @@ class ContactRemedies:
         local: LocalPoints,
         laws: PointLaws,
         motions: ContactMotions,
-        touching: Callable[[], Bools],
+        held_points: Callable[[], tuple[Bools, Bools]],
     ) -> None:
         self._comm, self._points, self._local = comm, points, local
-        self._laws, self._motions, self._touching = laws, motions, touching
+        self._laws, self._motions, self._held_points = laws, motions, held_points
         self.begin()
 
     def begin(self) -> None:
@@ -82,7 +83,7 @@ class ContactRemedies:
 
     def _points_to_stick(self) -> Bools:
         stuck = np.zeros(len(self._local), dtype=bool)
-        touching = self._touching()
+        touching, sticking = self._held_points()
         floating: set[int] | None = None
         for i in np.unique(self._points.interface):
             at_interface = self._local.interface == i
@@ -94,7 +95,7 @@ class ContactRemedies:
                 continue
             if has_touching:
                 if floating is None:
-                    floating = self._motions.numbers_of_floating_bodies(touching, stuck)
+                    floating = self._motions.numbers_of_floating_bodies(touching, sticking)
                 bodies = np.unique(self._points.bodies[self._points.interface == i])
                 if floating.isdisjoint(bodies.tolist()):
                     continue

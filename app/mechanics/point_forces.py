@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.foundation.arrays import Floats, Ints
+from app.foundation.arrays import Bools, Floats, Ints
+from forms.contact import OPEN
 
 # Outputs that a law may have, with their shapes (see `forms.contact.Response`).
 OUTPUTS: dict[str, tuple[int, ...]] = {
@@ -31,7 +32,8 @@ class PointForces:
         trial_force: Trial force S (n, 3) [MPa].
         augmentation: Augmentation r, the stiffness of the trial force (n,) [MPa/mm].
         pressures: Pressure on each face, positive in compression (n, 3) [MPa].
-        status: OPEN, STICK or SLIP (n,).
+        status: OPEN, STICK or SLIP (n,). For a debonded share it is that of contact.
+        bonded: True where a law other than contact still holds the point, if only in part (n,).
         internal_variables: New values of the internal variables of the laws, by name: (n, ...).
         debonded_friction_work: Energy per area that friction of the debonded area dissipates in the
             step (n,) [N/mm].
@@ -45,6 +47,7 @@ class PointForces:
     augmentation: Floats
     pressures: Floats
     status: Ints
+    bonded: Bools
     internal_variables: Mapping[str, Floats]
     debonded_friction_work: Floats
     outputs: Mapping[str, Floats]
@@ -69,10 +72,16 @@ class PointForces:
             augmentation=augmentation,
             pressures=np.zeros((n, 3)),
             status=np.zeros(n, dtype=np.int64),
+            bonded=np.zeros(n, dtype=bool),
             internal_variables={name: values.copy() for name, values in internal_variables.items()},
             debonded_friction_work=np.zeros(n),
             outputs={name: np.zeros((n, *shape)) for name, shape in OUTPUTS.items()},
         )
+
+    @property
+    def touching(self) -> Bools:
+        """True where the sides touch, or where a bond still connects them (n,)."""
+        return (self.status != OPEN) | self.bonded
 
     @property
     def traction_stiffness(self) -> Floats:

@@ -282,6 +282,10 @@ class PointLaws:
             pressures = response["pressures"]
             forces.pressures[rows, : pressures.shape[1]] = pressures
             forces.status[rows] = np.rint(response["status"]).astype(np.int64)
+            if "debonded_share" in response:
+                forces.bonded[rows] = response["debonded_share"] < 1
+            elif not law.is_contact:
+                forces.bonded[rows] = forces.status[rows] != OPEN
             for name in law.internal_variables:
                 forces.internal_variables[name][rows] = response[NEW + name]
             for name in OUTPUTS.keys() & response.keys():

@@ -105,7 +105,7 @@ class ContactSystem(BondedSystem):
         trial: Contact at the state of the last residual or Jacobian.
         factors: Blocks of the last Jacobian in the rows of the jumps: factors of the equilibrium,
             and blocks added to it (`ContactInterfaces.row_factors`).
-        law_status: States of local points at the last Jacobian (n,).
+        law_forces: Forces of the laws at the last Jacobian or call of `law`.
 
     Args:
         solves: Expected number of solves; 0 if it is not to be condensed.
@@ -115,7 +115,7 @@ class ContactSystem(BondedSystem):
     contact: ContactInterfaces
     trial: TrialState
     factors: tuple[Floats, Floats]
-    law_status: Ints
+    law_forces: PointForces
     newton: Options = {}  # noqa: RUF012
 
     def __init__(self, problem: Problem, solves: float = 0.0, memory: float = math.inf) -> None:
@@ -168,7 +168,7 @@ class ContactSystem(BondedSystem):
         normal_error = contact.points.normal_error[contact.local.rows]
         if not contact.points.normal_error.any():
             return r.ravel()
-        motions = contact.unresisted_motions(law.status)
+        motions = contact.unresisted_motions(law)
         if not motions.shape[1]:
             return r.ravel()
         jumps, w = contact.motions.relative(motions), contact.local.weight
@@ -192,7 +192,7 @@ class ContactSystem(BondedSystem):
         self.uncondensed_matrices()
         self.trial = self._problem.trial(*x)
         factors, added_blocks = contact.row_factors(self.trial.forces)
-        self.law_status = self.trial.forces.status
+        self.law_forces = self.trial.forces
         if self._moves_floating_bodies():
             springs = SPRING_STIFFNESS * contact.coupling.D.getDiagonal().array_r.reshape(-1, 3)
             added_blocks = added_blocks + springs[:, :, None] * np.eye(3)
@@ -212,7 +212,7 @@ class ContactSystem(BondedSystem):
     def _moves_floating_bodies(self) -> bool:
         """Return True if forces move bodies that only open points resist; collective."""
         contact, law = self.contact, self.trial.forces
-        motions = contact.motions_resisted_by_open_points(law.status)
+        motions = contact.motions_resisted_by_open_points(law)
         if not motions.shape[1]:
             return False
         forces = self._problem.f_q.reshape(-1, 3) - contact.local.weight[:, None] * law.force
@@ -288,13 +288,18 @@ class ContactSystem(BondedSystem):
         """Residual of the law at equilibrium e and jumps q, and size of the forces [N]."""
         contact, e, q = self.contact, e.reshape(-1, 3), q.reshape(-1, 3)
         law = contact.evaluate(e, q)
-        self.factors, self.law_status = contact.row_factors(law), law.status
+        self.factors, self.law_forces = contact.row_factors(law), law
         r = self._without_uncertain_loads(contact.residual(e, q, law), e, law)
         return r, self._problem.interface_scale(e)
 
+    @property
+    def law_status(self) -> Ints:
+        """States of local points at the last Jacobian or call of `law` (n,)."""
+        return self.law_forces.status
+
     def free_jumps(self) -> Floats:
         """Jumps of rigid motions that nothing resists at the last state (n, 3, k); collective."""
-        return self.contact.motions.relative(self.contact.unresisted_motions(self.law_status))
+        return self.contact.motions.relative(self.contact.unresisted_motions(self.law_forces))
 
     def settle(self, x: list[PETSc.Vec]) -> bool:
         """Remove rigid motions that nothing resists from the last step of a state; collective.
@@ -305,7 +310,7 @@ class ContactSystem(BondedSystem):
             True if the state changes.
         """
         contact, problem = self.contact, self._problem
-        motions = contact.unresisted_motions(self.trial.forces.status)
+        motions = contact.unresisted_motions(self.trial.forces)
         if not motions.shape[1]:
             return False
         jumps, w = contact.motions.relative(motions), contact.local.weight

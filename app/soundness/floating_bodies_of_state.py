@@ -11,6 +11,7 @@ resists the rotation, with a stiffness that depends on the mesh alone
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -94,8 +95,8 @@ def texts_of_floating_bodies(problem: Problem, trial: TrialState, moved: bool = 
     contact, body_names = trial.contact, problem.bodies.names
     x = contact.points.x
     centre, size = contact.motions.frame
-    is_open, weight = trial.forces.status == OPEN, contact.local.weight
-    resisted = np.where(is_open[:, None, None], 0.0, trial.forces.resisted)
+    weight = contact.local.weight
+    resisted = np.where(trial.forces.touching[:, None, None], trial.forces.resisted, 0.0)
     R = contact.motions.jumps_by_motion
     of_points = weight[:, None, None] * (R.transpose(0, 2, 1) @ resisted @ R)
     A = _summed_resistance(problem, of_points)
@@ -109,7 +110,7 @@ def texts_of_floating_bodies(problem: Problem, trial: TrialState, moved: bool = 
     values, vectors = np.linalg.eigh((A + A.T) / 2)
     free_vectors = vectors[:, values <= FREE_RESISTANCE * max(values[-1], total)]
     if moved:
-        unresisted = contact.unresisted_motions(trial.forces.status)
+        unresisted = contact.unresisted_motions(trial.forces)
         free_vectors = motions_outside(free_vectors, unresisted)
     at_body = [(contact.points.bodies == b).any(axis=1) for b in range(len(body_names))]
     centres = np.array([x[mask].mean(axis=0) if mask.any() else centre for mask in at_body])
@@ -121,7 +122,7 @@ def texts_of_floating_bodies(problem: Problem, trial: TrialState, moved: bool = 
 def texts_of_pushed_bodies(problem: Problem, trial: TrialState) -> list[str]:
     """Sentences on bodies that loads, however small, push along unresisted motions; collective."""
     contact = trial.contact
-    motions = contact.unresisted_motions(trial.forces.status)
+    motions = contact.unresisted_motions(trial.forces)
     motion = motions @ (motions.T @ _load_work_of_bodies(problem))
     pressures = contact.local.weight[:, None] * trial.forces.pressures
     return _texts_of_unborne_motion(problem, motion, pressures)
@@ -295,7 +296,7 @@ def error_of_expelled_body(problem: Problem, trial: TrialState) -> Verdict | Non
         if not c.press_fit:
             continue
         at_interface = contact.local.interface == i
-        touches = bool((trial.forces.status[at_interface] != OPEN).any())
+        touches = bool(trial.forces.touching[at_interface].any())
         overlap, opening = (
             max(comm.allgather(float(values[at_interface].max(initial=0.0))))
             for values in (overlaps, openings)
@@ -320,14 +321,13 @@ def warnings_of_floating_bodies(problem: Problem, trial: TrialState) -> list[Ver
     """
     contact, size = trial.contact, trial.contact.motions.frame[1]
     gaps = contact.gaps.openings(trial.jump).max(axis=1)
-    is_open = trial.forces.status == OPEN
+    is_open = ~trial.forces.touching
     if not any(problem.comm.allgather(bool((is_open & (gaps > OPEN_GAP * size)).any()))):
         return []
     rounding = ZERO_PRESSURE * contact.laws.augmentation * size
-    is_unpressed = contact.laws.law_is_contact & (trial.forces.pressures.max(axis=1) <= rounding)
-    motions = contact.motions_resisted_by_open_points(
-        np.where(is_unpressed, OPEN, trial.forces.status)
-    )
+    is_unpressed = trial.forces.pressures.max(axis=1) <= rounding
+    status = np.where(is_unpressed, OPEN, trial.forces.status)
+    motions = contact.motions_resisted_by_open_points(replace(trial.forces, status=status))
     motion_texts = _texts_of_motions(problem, contact, motions)
     place = "in the last state. Its position within the gaps is arbitrary"
     return [
@@ -477,7 +477,7 @@ def _resistances(
 ) -> tuple[Floats, Floats]:
     """Resistance to rigid motions R (p, 3, 6): of contact, and of the spread of normals."""
     contact, points = trial.contact, trial.contact.points
-    r = np.where(trial.forces.status == OPEN, 0.0, contact.laws.augmentation * contact.local.weight)
+    r = np.where(trial.forces.touching, contact.laws.augmentation * contact.local.weight, 0.0)
     resisted = trial.forces.resisted
     symmetric_part = (resisted + resisted.transpose(0, 2, 1)) / 2
     # Friction holds a touching point, although its stiffness is zero while it slips.

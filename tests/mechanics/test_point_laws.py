@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -57,8 +58,9 @@ def test_point_laws_have_friction_by_point() -> None:
         contact = support.assemble(case)[0].contact
         assert contact is not None
         np.testing.assert_array_equal(contact.laws.friction_coefficient, zone)
-        status = np.full(len(contact.local), STICK)
-        found[zone] = contact.unresisted_motions(status).shape[1]
+        rest = np.zeros((len(contact.local), 3))
+        forces = replace(contact.evaluate(rest, rest), status=np.full(len(rest), STICK))
+        found[zone] = contact.unresisted_motions(forces).shape[1]
     assert found == {0.0: 3, 0.3: 0}
 
 
