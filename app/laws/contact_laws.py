@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
@@ -20,6 +20,7 @@ from app.laws.interface_laws import (
 )
 from app.laws.thermal import FrictionHeating
 from app.laws.values import (
+    GAP,
     INTERFERENCE,
     GapField,
     InterferenceField,
@@ -35,7 +36,7 @@ from app.schema.units import (
 )
 
 if TYPE_CHECKING:
-    from app.foundation.arrays import Field, Floats
+    from app.foundation.arrays import Bools, Field, Floats
     from forms.contact import Response
 
 
@@ -99,10 +100,14 @@ class Unilateral(Frictional):
         return self.friction_heating
 
     @property
-    def largest_friction(self) -> float:
-        """The largest `friction_coefficient` of the interface and its zones."""
-        zones = [zone.friction_coefficient for zone in self.surface_zones.values()]
-        return max([self.friction_coefficient, *(μ for μ in zones if μ is not None)])
+    def frictions(self) -> Mapping[tuple[str, ...], float]:
+        """The keys `friction_coefficient` of the interface and its zones."""
+        zones: dict[tuple[str, ...], float] = {
+            ("zones", name, "friction_coefficient"): zone.friction_coefficient
+            for name, zone in self.surface_zones.items()
+            if zone.friction_coefficient is not None
+        }
+        return {**super().frictions, **zones}
 
     @property
     def gaps(self) -> Mapping[tuple[str, ...], GapKeys]:
@@ -178,7 +183,7 @@ class Unilateral(Frictional):
             """The gap of a part; None if none is given for it."""
             if part.interference is not None:
                 return -_interference(f"{key}.interference", part.interference, stem, x)
-            return None if part.gap is None else field(f"{key}.gap", part.gap)(x)
+            return None if part.gap is None else field(f"{key}.gap", part.gap, GAP)(x)
 
         def gap(x: Floats) -> Floats:
             gaps = gap_of(self, key, x)
@@ -208,6 +213,11 @@ class Unilateral(Frictional):
             return coefficients
 
         return {"μ": friction}
+
+    def resists_sliding(self, interface: str, stem: StemPlaces) -> Callable[[Floats], Bools]:
+        """Function of points (n, 3) that is True where there is friction (n,)."""
+        friction = self.constants_at_points(interface, stem).get("μ")
+        return lambda x: friction(x) > 0 if friction else np.zeros(len(x), dtype=bool)
 
     @property
     def form(self) -> Hashable:

@@ -61,7 +61,7 @@ def modulus_of_density(law: str | DensityLaw, density: ArrayLike) -> Floats:
     """Young's modulus [MPa] for densities [g/cm3] of the law's kind."""
     rho = np.maximum(density, LEAST_DENSITY)
     start, a, b, c = np.transpose(table_of(law)[1])
-    k = np.maximum(np.searchsorted(start, rho) - 1, 0)
+    k = np.maximum(np.searchsorted(start, rho, side="right") - 1, 0)
     return np.asarray(a[k] + b[k] * rho ** c[k])
 
 

@@ -29,7 +29,7 @@ To add a law, derive from `Traction` (a force that is a function of the gap) or 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Hashable, Mapping
+from collections.abc import Callable, Collection, Hashable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, get_args
 
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from ufl import Coefficient
     from ufl.core.expr import Expr
 
-    from app.foundation.arrays import Field, Floats
+    from app.foundation.arrays import Bools, Field, Floats
     from forms.contact import Faces, Response
 
 # Points per facet of mortar rows where `quadrature` is not given.
@@ -267,14 +267,14 @@ class InterfaceLaw(Extensible):
         return None
 
     @property
-    def largest_friction(self) -> float:
-        """Largest friction coefficient on the interface [-]; 0: no tangential term is compiled."""
-        return 0.0
+    def frictions(self) -> Mapping[tuple[str, ...], float]:
+        """Friction coefficients of the interface, then of its zones, by the path of their keys."""
+        return {}
 
     @property
-    def friction_outside_zones(self) -> float:
-        """Friction coefficient of the interface where no zone has another one [-]."""
-        return 0.0
+    def largest_friction(self) -> float:
+        """Largest friction coefficient on the interface [-]; 0: no tangential term is compiled."""
+        return max(self.frictions.values(), default=0.0)
 
     @property
     def heated_by_friction(self) -> FrictionHeating | None:
@@ -414,6 +414,10 @@ class InterfaceLaw(Extensible):
         key = f"interfaces.{interface}."
         return {n: field(key + n, v, self._mark(n)) for n, v in self.constants.items()}
 
+    def resists_sliding(self, interface: str, stem: StemPlaces) -> Callable[[Floats], Bools]:
+        """Function of points (n, 3) that is True where touching sides resist sliding (n,)."""
+        return lambda x: np.ones(len(x), dtype=bool)
+
     def check(self, values: Mapping[str, Floats]) -> None:
         """Check constants at points (n,), by name.
 
@@ -476,14 +480,9 @@ class Frictional(InterfaceLaw):
     """Coulomb's coefficient; 0 for none."""
 
     @property
-    def largest_friction(self) -> float:
+    def frictions(self) -> Mapping[tuple[str, ...], float]:
         """The key `friction_coefficient`."""
-        return self.friction_coefficient
-
-    @property
-    def friction_outside_zones(self) -> float:
-        """The key `friction_coefficient`."""
-        return self.friction_coefficient
+        return {("friction_coefficient",): self.friction_coefficient}
 
 
 class SurfaceZone(Section):

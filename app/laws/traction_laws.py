@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -28,9 +28,12 @@ from app.schema.units import (
 if TYPE_CHECKING:
     from ufl.core.expr import Expr
 
-    from app.foundation.arrays import Field, Floats
+    from app.foundation.arrays import Bools, Field, Floats
     from forms.cohesion import CohesiveState
     from forms.contact import Response
+
+# Shares of shear at which a cohesive law is checked for softening [-].
+SHEAR_SHARES = np.linspace(0.0, 1.0, 101)
 
 
 class Traction(InterfaceLaw):
@@ -233,6 +236,11 @@ class Cohesive(Frictional, Traction):
         """Fracture energy per area that the step dissipates [N/mm]."""
         return self.cohesive_state(point).dissipated_in_step
 
+    def resists_sliding(self, interface: str, stem: StemPlaces) -> Callable[[Floats], Bools]:
+        """Function of points (n, 3) that is True where there is a bond or friction (n,)."""
+        unbonded = self.constants_at_points(interface, stem)["unbonded"]
+        return lambda x: (unbonded(x) < 1) | (self.largest_friction > 0)
+
     @model_validator(mode="after")
     def _check_softening(self) -> Cohesive:
         # The same check as at points, for keys that are numbers.
@@ -241,7 +249,12 @@ class Cohesive(Frictional, Traction):
         return self
 
     def check(self, values: Mapping[str, Floats]) -> None:
-        """Refuse a stiffness that is too small for softening: K < strength^2 / energy."""
+        """Refuse a stiffness that is too small for softening: K < strength^2 / energy.
+
+        In mixed modes strength and energy depend on the share B of shear (`forms.cohesion`). With a
+        large η the energy may be too small there: softening would end at a jump below its onset,
+        2 K energy <= strength^2.
+        """
         for mode in ("tensile", "shear"):
             names = ("stiffness", f"{mode}_strength", f"{mode}_energy")
             if not values.keys() >= set(names):
@@ -254,5 +267,21 @@ class Cohesive(Frictional, Traction):
                 fail(
                     f"{K[k]:g} MPa/mm is too soft for {mode} strength and energy: "
                     f"expected at least strength^2 / energy = {least_stiffness[k]:g} MPa/mm",
+                    at=("stiffness",),
+                )
+        strengths = ("tensile_strength", "shear_strength")
+        energies = ("tensile_energy", "shear_energy")
+        all_names = ("stiffness", *strengths, *energies, "mixing_exponent")
+        if values.keys() >= set(all_names):
+            K, N, S, G_I, G_II, η = (values[name] for name in all_names)
+            B = SHEAR_SHARES[:, None]
+            energy = G_I + (G_II - G_I) * B**η
+            least_stiffness = 1 / (2 * energy * ((1 - B) / N**2 + B / S**2))
+            if (K <= least_stiffness).any():
+                b, point = np.unravel_index((least_stiffness / K).argmax(), least_stiffness.shape)
+                fail(
+                    f"{K[point]:g} MPa/mm is too soft for a mixed mode with {SHEAR_SHARES[b]:.0%} of "
+                    f"shear: expected above {least_stiffness[b, point]:.4g} MPa/mm, or a smaller "
+                    "mixing_exponent",
                     at=("stiffness",),
                 )

@@ -45,18 +45,16 @@ _INTERFERENCE = Dimension(
     other_units=("um",),
 )
 INTERFERENCE = Varying(_INTERFERENCE)
-GapField = Annotated[
-    float | str,
-    Varying(
-        Dimension(
-            "mm",
-            "a length",
-            "0.05 mm",
-            at_least=-MOST_INTERFERENCE,
-            beyond="a negative gap is a radial interference, and -0.01 to -0.02 mm are usual",
-        )
-    ),
-]
+GAP = Varying(
+    Dimension(
+        "mm",
+        "a length",
+        "0.05 mm",
+        at_least=-MOST_INTERFERENCE,
+        beyond="a negative gap is a radial interference, and -0.01 to -0.02 mm are usual",
+    )
+)
+GapField = Annotated[float | str, GAP]
 # Reliability of values, and their source.
 Status = Literal["measured", "assumed", "unverified"] | None
 Source = Text | None

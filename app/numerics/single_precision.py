@@ -108,7 +108,9 @@ class SinglePrecision:
         order = np.lexsort((is_upper, rows))
         self._start = np.append(0, np.cumsum(np.bincount(rows, minlength=n)))
         self._upper = self._start[:-1] + np.bincount(rows[~is_upper], minlength=n)
-        self._columns, self._blocks = columns[order].astype(np.int32), blocks[order]
+        self._columns = columns[order].astype(np.int32)
+        # The vector of the last row of a block ends with one number that is not used.
+        self._blocks = np.append(blocks[order].ravel(), np.float32(0.0))
         self._ghosts = PETSc.Vec().createSeq(3 * len(ghosts), comm=PETSc.COMM_SELF)
         places = PETSc.IS().createBlock(3, ghosts.astype(PETSc.IntType), comm=A.comm)
         self._scatter = PETSc.Scatter().create(A.createVecRight(), places, self._ghosts, None)

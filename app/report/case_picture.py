@@ -219,13 +219,12 @@ def _bodies(view: View, data: MeshData, name: str, facets: Ints, cells: Ints) ->
 def _lines(view: View, case: Case, data: MeshData) -> None:
     """Draw sections of interfaces, supports and heat conditions."""
     for (name, law), colour in zip(case.interfaces.items(), INTERFACE_COLOURS, strict=False):
-        friction = law.friction_outside_zones
-        law_text = f"{law.kind}, friction {plain_text(friction)}" if friction else law.kind
-        for zone_name, zone in law.surface_zones.items():
-            if zone.friction_coefficient is not None:
-                law_text += (
-                    f", {zone_name.replace('_', ' ')} {plain_text(zone.friction_coefficient)}"
-                )
+        law_text = law.kind
+        for (*zone, _), friction in law.frictions.items():
+            if zone:
+                law_text += f", {zone[-1].replace('_', ' ')} {plain_text(friction)}"
+            elif friction:
+                law_text += f", friction {plain_text(friction)}"
         triangles_of_interface = [data.points[interface_facets(data, name)[0][:, :3]]]
         triangles_of_interface += [
             _boundary(data, face) for face in case.sliding_boundaries.get(name, ())

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from app.case.case import Case
-from app.foundation.arrays import Floats, Ints
+from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.layout import point_text
 from app.foundation.verdict import Reason, Verdict, note
 from app.laws.interface_laws import InterfaceLaw
@@ -115,16 +115,18 @@ class GroupsOnMesh:
         self._origin = parts.x.mean(axis=0)
         self._size = float(np.linalg.norm(np.ptp(parts.x, axis=0)))
         self._laws: Mapping[str, InterfaceLaw] = case.interfaces
-        # Touching pieces: name of the interface, and the two groups.
-        self._touches: list[tuple[Touch, str, int, int]] = []
+        # Touching pieces: name of the interface, facets that slide freely, and the two groups.
+        self._touches: list[tuple[Touch, str, Bools, int, int]] = []
         for touch in parts.touches:
             group_a, group_b = (self._group_of_piece[piece] for piece in touch.pieces)
             interface = law_between(case, parts, touch.pieces)[0]
-            self._touches.append((touch, interface, group_a, group_b))
+            if group_a != group_b and interface:
+                resists = self._laws[interface].resists_sliding(interface, case.geometry)(touch.x)
+                self._touches.append((touch, interface, ~resists, group_a, group_b))
 
     def errors_of_floating(self) -> list[Verdict]:
         """Errors for motions that nothing would resist if all touching bodies were bonded."""
-        contact_resistance, bonded_resistance = self._resistance(None)
+        contact_resistance, bonded_resistance = self._resistance()
         errors = []
         for k, left_by_supports in self._left_by_supports():
             free_motions, _ = self._free_motions(
@@ -139,12 +141,11 @@ class GroupsOnMesh:
     def notes_on_loosely_held(self) -> list[Verdict]:
         """Notes on motions barely resisted by contact, without friction or not yet closed."""
         gaps = gaps_of(self._case, self._parts)
-        frictions = {n: self._laws[n].largest_friction for n in gaps}
+        smooth = self._smooth_interfaces()
         notes: list[Verdict] = []
         for k, left_by_supports in self._left_by_supports():
-            free_motions, steepest = self._weakly_held_motions(left_by_supports, frictions)
-            slippery = [f"'{n}'" for n, μ in frictions.items() if not μ]
-            reason = f"contact on {' and '.join(slippery)} has no friction"
+            free_motions, steepest = self._weakly_held_motions(left_by_supports)
+            reason = f"contact on {' and '.join(smooth)} has no friction"
             if steepest > 1e-2:
                 reason += (
                     f" and resists only because the surface slopes by {steepest:.2g} degrees on "
@@ -161,7 +162,7 @@ class GroupsOnMesh:
                 n for n, gap in gaps_in_time.items() if gap_at(*gap, k + JUST_AFTER).min() > 0
             ]
             free_motions, _ = self._free_motions(
-                left_by_supports, *self._resistance(None, open_interfaces), FREE_RESISTANCE
+                left_by_supports, *self._resistance(absent=open_interfaces), FREE_RESISTANCE
             )
             interface_names = " and ".join(f"'{n}'" for n in open_interfaces)
             remedy = "hold the body by a support or a weak foundation, or start in contact"
@@ -206,32 +207,41 @@ class GroupsOnMesh:
             free_vectors = [np.kron(np.eye(n)[:, [b]], vectors[b][:, is_free[b]]) for b in range(n)]
             yield k, np.hstack(free_vectors)
 
+    def _smooth_interfaces(self) -> list[str]:
+        """Interfaces that slide freely, or whose parts do, as text."""
+        slides: dict[str, list[Bools]] = {}
+        for _, name, slides_freely, *_ in self._touches:
+            slides.setdefault(name, []).append(slides_freely)
+        facets_of_interface = {name: np.concatenate(masks) for name, masks in slides.items()}
+        return [
+            f"'{name}'" if mask.all() else f"parts of '{name}'"
+            for name, mask in facets_of_interface.items()
+            if mask.any()
+        ]
+
     def _resistance(
-        self, frictions: Mapping[str, float] | None, absent: Sequence[str] = ()
+        self, *, all_stick: bool = True, absent: Sequence[str] = ()
     ) -> tuple[Floats, Floats]:
         """Resistance of contact, and of each body bonded to its surroundings (6 n, 6 n) [mm2].
 
         Args:
-            frictions: Friction coefficients by interface; without friction an interface does not
-                resist sliding. None: all interfaces resist sliding.
+            all_stick: True if all facets resist sliding, also those that slide freely.
             absent: Interfaces that are open and resist nothing.
         """
         n = 6 * len(self._groups)
         contact_resistance, bonded_resistance = np.zeros((n, n)), np.zeros((n, n))
-        for touch, name, a, b in self._touches:
-            if a == b or not name:
-                continue
+        for touch, name, slides_freely, a, b in self._touches:
             R = self._modes(touch.x)
             shared_resistance = np.einsum("f,fik,fil->kl", touch.areas, R, R)
-            normal_motions = np.einsum("fik,fi->fk", R, touch.normals)
-            normal = np.einsum("f,fk,fl->kl", touch.areas, normal_motions, normal_motions)
             if name not in absent:
-                add_relative(
-                    contact_resistance,
-                    a,
-                    b,
-                    shared_resistance if frictions is None or frictions[name] else normal,
+                sticks = np.full(len(R), True) if all_stick else ~slides_freely
+                slides = ~sticks
+                normal_motions = np.einsum("fik,fi->fk", R[slides], touch.normals[slides])
+                resistance = np.einsum("f,fik,fil->kl", touch.areas[sticks], R[sticks], R[sticks])
+                resistance += np.einsum(
+                    "f,fk,fl->kl", touch.areas[slides], normal_motions, normal_motions
                 )
+                add_relative(contact_resistance, a, b, resistance)
             for i in (a, b):
                 bonded_resistance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] += shared_resistance
         return contact_resistance, bonded_resistance
@@ -257,13 +267,11 @@ class GroupsOnMesh:
         is_free = values < below
         return root @ vectors[:, is_free], np.maximum(values[is_free], 0.0)
 
-    def _weakly_held_motions(
-        self, left_by_supports: Floats, frictions: Mapping[str, float]
-    ) -> tuple[Floats, float]:
+    def _weakly_held_motions(self, left_by_supports: Floats) -> tuple[Floats, float]:
         """Motions that only the slope of smooth contact resists (6 n, k); largest slope [deg]."""
-        smooth = [(t, a, b) for t, name, a, b in self._touches if frictions.get(name) == 0]
-        bend = FACETS * max((t.bend for t, _, _ in smooth), default=0.0)
-        contact_resistance, bonded_resistance = self._resistance(frictions)
+        smooth = [(t, slides, a, b) for t, _, slides, a, b in self._touches if slides.any()]
+        bend = FACETS * max((t.bend for t, *_ in smooth), default=0.0)
+        contact_resistance, bonded_resistance = self._resistance(all_stick=False)
         smallest_slope = math.radians(SLOPE)
         free_motions, slopes = self._free_motions(
             left_by_supports,
@@ -272,10 +280,11 @@ class GroupsOnMesh:
             math.sin(max(smallest_slope, bend)) ** 2,
         )
         mean = np.zeros(free_motions.shape[1])
-        for t, a, b in smooth:
+        for t, slides, a, b in smooth:
             v = free_motions.reshape(len(self._groups), 6, free_motions.shape[1])
-            normal_motions = np.einsum("fik,fi->fk", self._modes(t.x), t.normals) @ (v[a] - v[b])
-            mean += (t.areas @ normal_motions) ** 2 / t.areas.sum()
+            of_facets = np.einsum("fik,fi->fk", self._modes(t.x), t.normals)
+            areas = t.areas * slides
+            mean += (areas @ of_facets @ (v[a] - v[b])) ** 2 / areas.sum()
         resisted = np.einsum("ik,ij,jk->k", free_motions, contact_resistance, free_motions)
         is_weak = (slopes < math.sin(smallest_slope) ** 2) | (mean < 0.5 * resisted)
         steepest = math.asin(math.sqrt(float(slopes[is_weak].max(initial=0.0))))

@@ -425,18 +425,19 @@ def error_of_body_held_by_facets(problem: Problem, trial: TrialState) -> Verdict
     from the spread of facet normals in the same motions. If the quotient is small, only the mesh
     resists. The mean slope of an interface is not spread, so even a slight taper resists.
     """
-    smooth = [
-        c.law.can_open and c.law.largest_friction == 0 and not c.between
-        for c in problem.scene.parting_interfaces
-    ]
-    if not any(smooth):
-        return None
     contact = trial.contact
+    laws = contact.laws
+    has_given_pairs = np.array([not c.between for c in problem.scene.parting_interfaces])
+    is_smooth = (
+        laws.law_can_open & ~laws.law_has_friction & has_given_pairs[contact.local.interface]
+    ) & ~trial.forces.bonded
+    if not any(problem.comm.allgather(bool(is_smooth.any()))):
+        return None
     n = len(problem.bodies.names)
     R = contact.motions.jumps_by_motion
     unsupported = np.setdiff1d(np.arange(n), sorted(support_resistance_of_bodies(problem)))
     rows = (6 * unsupported[:, None] + np.arange(6)).ravel()
-    resistances = _resistances(problem, trial, R, np.array(smooth)[contact.local.interface])
+    resistances = _resistances(problem, trial, R, is_smooth)
     of_contact, of_spread = (matrix[np.ix_(rows, rows)] for matrix in resistances)
     if not of_contact.any():
         return None

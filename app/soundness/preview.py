@@ -361,9 +361,10 @@ def _no_load(case: Case) -> Iterable[Verdict]:
     if moves or strains or case.motions or case.conducts or not solid(case):
         return
     is_pressed = any(law.overlaps_initially for law in case.interfaces.values())
-    # A gap may be an expression with interferences.
-    has_gap = any(law.has_initial_gap for law in case.interfaces.values())
-    if has_gap and not case.geometry.has_gruen_zones:
+    # An expression may have interferences somewhere.
+    gaps = [gap for law in case.interfaces.values() for gap in law.gaps.values()]
+    may_press = is_pressed or any(isinstance(gap.gap, str) for gap in gaps)
+    if may_press and not case.geometry.has_gruen_zones:
         return  # a fit is tested
     only = "; only the interference strains the bodies" if is_pressed else ""
     yield note(f"no load acts at any time{only}", "loads", "add a load, if one is meant to act")
@@ -445,10 +446,11 @@ def _without_effect(case: Case) -> Iterable[Verdict]:
                 message = f"acts on {boundary}, which supports.{support} holds, so it has no effect"
                 yield note(message, f"loads.{name}")
     for name, law in case.interfaces.items():
-        friction = law.largest_friction
-        if friction > MOST_FRICTION:
-            message = f"is {friction:g}; for implants it is 0 to 1.5. Was it given in per cent?"
-            yield note(f"interfaces.{name}.friction_coefficient {message}")
+        for path, friction in law.frictions.items():
+            if friction > MOST_FRICTION:
+                key = ".".join(("interfaces", name, *path))
+                message = f"is {friction:g}; for implants it is 0 to 1.5. Was it given in per cent?"
+                yield note(f"{key} {message}")
 
 
 def _open_conductances(case: Case) -> Iterable[Verdict]:

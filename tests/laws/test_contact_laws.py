@@ -9,6 +9,7 @@ import pytest
 from pydantic import ValidationError
 
 from app.foundation.arrays import Bools, Floats
+from app.foundation.errors import InputError
 from app.laws.contact_laws import OFF_BONE, Contact, Penalty
 from app.laws.values import NoStem
 
@@ -99,6 +100,16 @@ def test_contact_laws_interference_is_a_number_an_expression_or_a_table(
 ) -> None:
     gap = contact(interference=given).gap_field("joint", NoStem())(heights(0, 30, 60))
     np.testing.assert_allclose(-gap, expected, atol=1e-15)
+
+
+@pytest.mark.parametrize("key", ["gap", "interference"])
+def test_contact_laws_expressions_have_the_bounds_of_numbers(key: str) -> None:
+    """An interference above 1 mm is refused, as the number is."""
+    sign = -1.0 if key == "gap" else 1.0
+    gap = contact(**{key: f"{sign * 0.5} + 0 * z"}).gap_field("joint", NoStem())(heights(0, 30))
+    np.testing.assert_allclose(gap, -0.5)
+    with pytest.raises(InputError, match=f"interfaces.joint.{key}: .* at \\(0.5, -1, 30\\) mm"):
+        contact(**{key: f"{sign} * (0.5 + 0.1 * z)"}).gap_field("joint", NoStem())(heights(0, 30))
 
 
 def test_contact_laws_interference_acts_on_flanks_alone() -> None:

@@ -10,6 +10,7 @@ import pytest
 from app.numerics import single_precision
 from app.numerics.single_precision import SinglePrecision
 from app.numerics.sparse import from_triplets
+from tests import support
 
 # Unit roundoff of single precision: half of the distance from 1 to the next number.
 ROUNDOFF = 2.0**-24
@@ -75,3 +76,34 @@ def test_single_precision_keeps_the_matrix_as_it_was() -> None:
     A.scale(2.0)
     single.matrix.mult(x, y)
     np.testing.assert_array_equal(y.array, before)
+
+
+BEFORE_A_CLOSED_PAGE = """
+import ctypes
+import mmap
+
+import numpy as np
+from mpi4py import MPI
+
+from app.numerics.single_precision import SinglePrecision
+from app.numerics.sparse import from_triplets
+
+row, column = np.divmod(np.arange(9), 3)
+A = from_triplets(MPI.COMM_SELF, 3, 3, row, column, np.eye(3).ravel())
+single, page = SinglePrecision(A), mmap.PAGESIZE
+memory = np.frombuffer(mmap.mmap(-1, 2 * page), np.uint8)
+libc = ctypes.CDLL(None)
+assert libc.mprotect(ctypes.c_void_p(memory.ctypes.data + page), page, 0) == 0
+size = single._blocks.nbytes
+memory[page - size : page] = single._blocks.view(np.uint8).ravel()
+single._blocks = memory[page - size : page].view(np.float32)
+x, y = A.createVecs()
+x.array[:] = 1.0, 2.0, 3.0
+single.matrix.mult(x, y)
+print(y.array.tolist())
+"""
+
+
+def test_single_precision_reads_nothing_behind_its_blocks() -> None:
+    """The blocks end at a page that must not be read."""
+    assert support.python("-c", BEFORE_A_CLOSED_PAGE).stdout.splitlines()[-1] == "[1.0, 2.0, 3.0]"

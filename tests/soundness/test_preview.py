@@ -31,6 +31,14 @@ def test_preview_notes_input_without_effect() -> None:
     notes = texts(mantle.load(CONFIGS / "stance.yaml", **changes).config)
     assert any(n.startswith("loads.hip: acts on distal_cut, which supports.shaft") for n in notes)
     assert any(n.startswith("interfaces.cement_bone.friction_coefficient is 6.5") for n in notes)
+    zone = {"distal": {"below": "20 mm", "friction_coefficient": 30}}
+    changes = {"interfaces.cement_bone.zones": zone}
+    notes = texts(mantle.load(CONFIGS / "stance.yaml", **changes).config)
+    assert not any(n.startswith("interfaces.cement_bone.friction_coefficient") for n in notes)
+    assert any(
+        n.startswith("interfaces.cement_bone.zones.distal.friction_coefficient is 30")
+        for n in notes
+    )
 
 
 @pytest.mark.parametrize(
@@ -204,6 +212,13 @@ def test_preview_notes_that_no_load_acts(changes: dict[str, Any], expected: str 
     found = [n for n in notes if "no load acts" in n]
     assert len(found) == (expected is not None)
     assert expected is None or expected in found[0]
+
+
+@pytest.mark.parametrize(("gap", "is_noted"), [("0.1 mm", True), ("-0.1 mm", False)])
+def test_preview_notes_that_a_clearance_is_no_load(gap: str, is_noted: bool) -> None:
+    """An interference strains the bodies."""
+    case = support.case(TWO, "loads={}", f"interfaces.bone_metal.gap={gap}")
+    assert any("no load acts at any time" in n for n in texts(case)) == is_noted
 
 
 @pytest.mark.parametrize("name", ["cylinders", "cure"])

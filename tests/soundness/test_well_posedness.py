@@ -234,7 +234,8 @@ MORE = "supports.more={kind: displacement, boundary: "
 
 def test_well_posedness_refuses_impossible_cases() -> None:
     with pytest.raises(InputError, match=r"bone_metal\.gap: .* strains are not small; use"):
-        judged(TWO, "interfaces.bone_metal.gap=0 * x - 4")
+        thin = [f"geometry.blocks.{k}.size=[10 mm, 10 mm, 0.5 mm]" for k in (0, 1)]
+        judged(TWO, *thin, "interfaces.bone_metal.gap=0 * x - 0.9")
     # A boundary that is the whole of another one, by another name.
     again = "supports.again={kind: displacement, boundary: bone_y_min, z: 0.2 mm}"
     with pytest.raises(InputError, match=r"supports\.again: .* along z than supports\.more "):
