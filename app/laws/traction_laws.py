@@ -281,7 +281,7 @@ class Cohesive(Frictional, Traction):
                 b, point = np.unravel_index((least_stiffness / K).argmax(), least_stiffness.shape)
                 fail(
                     f"{K[point]:g} MPa/mm is too soft for a mixed mode with "
-                    f"{SHEAR_SHARES[b]:.0%} of shear: expected above {least_stiffness[b, point]:.4g} MPa/mm, or a smaller "
-                    "mixing_exponent",
+                    f"{SHEAR_SHARES[b]:.0%} of shear: expected above "
+                    f"{least_stiffness[b, point]:.4g} MPa/mm, or a smaller mixing_exponent",
                     at=("stiffness",),
                 )
