@@ -333,9 +333,9 @@ class ContactSystem(BondedSystem):
         The rounding error of K u grows with u: far away any forces would seem balanced.
         """
         prescribed = float(np.abs(self._problem.prescribed).max(initial=0.0))
-        jumps = float(np.abs(x[-1].array_r).max(initial=0.0))
-        largest, largest_prescribed = (self.comm.allreduce(v, MPI.MAX) for v in (jumps, prescribed))
-        return not largest <= self._problem.size + largest_prescribed  # True if it is not finite
+        limit = self._problem.size + self.comm.allreduce(prescribed, MPI.MAX)
+        is_far = not np.abs(x[-1].array_r).max(initial=0.0) <= limit  # True if it is not finite
+        return bool(self.comm.allreduce(is_far, MPI.LOR))
 
     def coarse_space(self) -> CoarseSpace:
         """Motions of bodies that slide, lift off or bend away."""

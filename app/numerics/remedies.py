@@ -93,6 +93,8 @@ def _solve_with_remedies(solver: Solver) -> NewtonResult:
     else:
         solver.x.copy(solver.failed_state)
         solver.augmentation = 1.0
+        if contact:
+            contact.laws.scale_augmentation(1.0)
     solver.linear.observe()
     newton, krylov = map(sum, zip(*runs, strict=True))
     return NewtonResult(

@@ -93,17 +93,22 @@ def numbers_with_errors(
     return numbers
 
 
-def choose(case: Case, solve: Callable[[Case], Summary], longest: float | None) -> tuple[Case, str]:
+def choose(
+    comm: MPI.Comm, case: Case, solve: Callable[[Case], Summary], longest: float | None
+) -> tuple[Case, str]:
     """The case on the mesh that is accurate enough in the least time, and why; collective.
 
     Cheap runs begin at twice the mesh size, if so coarse a mesh is possible.
 
     Args:
+        comm: All ranks.
         case: The case.
         solve: Returns the numbers of a case with their errors.
         longest: Longest time of the run [s], if there is a limit.
     """
     target = case.output.accuracy or 0.0
+    # The same on all ranks: machines may differ.
+    available = comm.allreduce(memory.available_memory(), MPI.MIN)
     start = max(case.mesh.size, min(2 * case.mesh.size, case.geometry.coarsest_size / 2))
     # Error, time, reason and case of each choice.
     choices: list[tuple[float, float, str, Case]] = []
@@ -113,7 +118,9 @@ def choose(case: Case, solve: Callable[[Case], Summary], longest: float | None) 
         while choice is None or choice[3].mesh.size < size:
             cheap = _on_mesh(case, size, order)
             errors = [(e, p[order - 1]) for e, _, p in relative_errors(solve(cheap))]
-            error, chosen_case, limit_text = _coarsest_within(target, cheap, errors, longest)
+            error, chosen_case, limit_text = _coarsest_within(
+                target, cheap, errors, longest, available
+            )
             reason = (
                 f"{percent(error)} expected, about"
                 f" {duration(cost.estimated_seconds(chosen_case))}{limit_text}"
@@ -131,7 +138,11 @@ def choose(case: Case, solve: Callable[[Case], Summary], longest: float | None) 
 
 
 def _coarsest_within(
-    target: float, cheap: Case, errors: Sequence[tuple[float, float]], longest: float | None
+    target: float,
+    cheap: Case,
+    errors: Sequence[tuple[float, float]],
+    longest: float | None,
+    available: float,
 ) -> tuple[float, Case, str]:
     """Refine a case until it meets a target, as far as memory and time allow.
 
@@ -140,6 +151,7 @@ def _coarsest_within(
         cheap: The case on the mesh that was solved.
         errors: Errors of its numbers with their orders.
         longest: Longest time [s], if there is a limit.
+        available: Memory of a rank [byte].
 
     Returns:
         The largest expected error, the case, and the limit that stopped refinement, in words.
@@ -153,7 +165,6 @@ def _coarsest_within(
         next_best = _on_mesh(
             coarsest, float(f"{coarsest.mesh.size / FINER:.2g}"), coarsest.mesh.order
         )
-        available = memory.available_memory()
         if MEMORY * memory.needed(next_best) > available:
             limit_text = f"; {available / memory.GIGABYTE:.3g} GB of memory allow no finer mesh"
             return error, coarsest, limit_text

@@ -22,6 +22,7 @@ from app.mechanics.predictors import Predictor, WarmStart
 from app.mechanics.problem import Problem
 from app.numerics import lifetime
 from app.numerics.newton import Solver
+from app.numerics.numerical_errors import as_convergence_errors
 from app.results.balance import Balance
 from app.results.bond_forces import BondForces
 from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
@@ -192,10 +193,13 @@ class Model:
         for model in self._other_models:
             if (model.case.geometry, model.case.mesh) == (case.geometry, case.mesh):
                 return model.tagged, model.mesh_hash, model.parts
-        cache = folders.cache("meshes")
-        data = on_root(comm, lambda: meshes.build(case.geometry, case.mesh, cache), share=False)
-        parts = well_posedness.mesh_parts(case, data) if data is not None else None
-        digest = comm.bcast(_mesh_hash(data) if data is not None else "")
+
+        def build() -> tuple[MeshData, str, MeshPieces]:
+            data = meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
+            return data, _mesh_hash(data), well_posedness.mesh_parts(case, data)
+
+        data, digest, parts = on_root(comm, build, share=False) or (None, "", None)
+        digest = comm.bcast(digest)
         tagged = distribute(data, comm)
         lifetime.register(tagged.mesh)
         return tagged, digest, parts
@@ -413,7 +417,15 @@ class Model:
             )
 
     def numbers_of_companion(self, case: Case) -> Summary:
-        """Solve a companion case; return its numbers; collective."""
+        """Solve a companion case; return its numbers; collective.
+
+        Raises:
+            ConvergenceError: It cannot be solved.
+        """
+        with as_convergence_errors():
+            return self._numbers_of_companion(case)
+
+    def _numbers_of_companion(self, case: Case) -> Summary:
         other_model = self._other_model(case, Timing("estimating errors"))
         last_trial: TrialState | None = None
         mechanics = other_model.mechanics

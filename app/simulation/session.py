@@ -131,7 +131,7 @@ def run(
         else:
             if case.config.output.accuracy:
                 solve = partial(accuracy.numbers_with_errors, comm, setup.options, setup.stop)
-                config, setup.chosen = accuracy.choose(case.config, solve, walltime)
+                config, setup.chosen = accuracy.choose(comm, case.config, solve, walltime)
                 setup.loaded = replace(case, config=config)
             summary = _CaseRun(setup, setup.loaded.itself, output).run()
             closing_lines.log_closing_lines(summary)

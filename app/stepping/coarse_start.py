@@ -26,6 +26,7 @@ from app.interfaces.corners import ContactPoints
 from app.mechanics.predictors import imbalance
 from app.mechanics.problem import Problem
 from app.numerics.newton import Solver
+from app.numerics.numerical_errors import as_convergence_errors
 from app.stepping.load_steps import LoadStepper
 
 if TYPE_CHECKING:
@@ -68,7 +69,8 @@ class CoarseStart:
         if residual_of_start <= GOOD_START * imbalance(solver, solver.vector()):
             return
         try:
-            jump = self._interpolated_jump(time)
+            with as_convergence_errors():
+                jump = self._interpolated_jump(time)
         except StoppedError:
             raise
         except MantleError as error:

@@ -81,7 +81,8 @@ def start_beyond_onset(
         set_load: Sets the problem to a fraction of the path.
 
     Returns:
-        Fraction of the path at that state, or None if no damage is possible; collective.
+        Fraction of the path at that state, or None if no damage is possible or the frozen problem
+        does not converge; collective.
     """
     contact, start = problem.contact, solver.x.copy()
     if contact is None:
@@ -91,6 +92,8 @@ def start_beyond_onset(
             return None
         set_load(path[1])
         solver.run()
+    if not solver.converged:
+        return None
     end = solver.x.copy()
 
     def move_to(fraction: float) -> float:

@@ -200,8 +200,8 @@ class LoadStepper:
             ConvergenceError: A failed step cannot or may not be cut, or a body runs away.
         """
         progress = progress or LoadProgress(increment)
-        self._extrapolation.begin(begin)
         path = LoadPath(stage, increment, set_load, begin, end)
+        self._extrapolation.begin(path.time(progress.done))
         load_steps = LoadSteps(self, path, progress)
         energy_steps = EnergySteps(self, path, progress, load_steps.start)
         while progress.done < 1.0:

@@ -106,6 +106,19 @@ def test_remedies_are_undone_if_a_solve_is_interrupted(
     assert {search for search, *_ in seen} == {"bt", "basic"}
 
 
+def test_remedies_leave_the_augmentation_of_the_case_after_a_failure(tagged: TaggedMesh) -> None:
+    """Without iterations no remedy converges."""
+    problem, solver = support.assemble(support.case(BLOCK), tagged)
+    assert solver.system.contact is not None
+    laws = solver.system.contact.laws
+    before = laws.augmentation.copy()
+    problem.set_time(1.0)
+    solver.snes.setTolerances(max_it=0)
+    result = solve(solver)
+    assert not result.converged and any("augmentation" in remedy for remedy, _ in result.tried)
+    np.testing.assert_array_equal(laws.augmentation, before)
+
+
 def test_remedies_return_to_sor_after_a_converged_step(tagged: TaggedMesh) -> None:
     """Factors serve a Newton iteration that fails, not all later ones."""
     problem, solver = support.assemble(support.case(BLOCK), tagged)

@@ -6,6 +6,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+from mpi4py import MPI
+from petsc4py import PETSc
+
 import pytest
 
 from app.case.case import Case, load_case
@@ -32,7 +35,7 @@ def chosen(*constants: float, walltime: float | None = None) -> tuple[Case, str,
         gap = {"gap_p99": 1e-9, "gap_p99_error": 1e-6}
         return {"interfaces": {"a": {"slip_p99": 0.01, "slip_p99_error": error} | gap}}
 
-    return *accuracy.choose(support.case(ASKED), solve, walltime), solved
+    return *accuracy.choose(MPI.COMM_SELF, support.case(ASKED), solve, walltime), solved
 
 
 def test_accuracy_chooses_the_cheapest_mesh_within_limits(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -87,15 +90,25 @@ def test_accuracy_reached_is_reported(tmp_path: Path, capsys: pytest.CaptureFixt
     assert summary["accuracy"] in capsys.readouterr().out
 
 
-def test_accuracy_companion_that_does_not_fit_is_left_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    "error",
+    [
+        InputError("output.probes.gauge: the surface bends below it"),
+        ArithmeticError("CHOLMOD: pivot 5 of 10 unknowns"),
+        MemoryError(),
+        PETSc.Error(55),
+    ],
+    ids=lambda error: type(error).__name__,
+)
+def test_accuracy_companion_that_cannot_be_solved_is_left_out(
+    error: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A gauge or a probe may not fit the coarser mesh of a companion; the run has its numbers."""
+    """The run has its numbers, whether the case does not fit the mesh or a factorization fails."""
 
     def refuse(model: Model, case: Case) -> None:
-        raise InputError("output.probes.gauge: the surface bends below it")
+        raise error
 
-    monkeypatch.setattr(Model, "numbers_of_companion", refuse)
+    monkeypatch.setattr(Model, "_numbers_of_companion", refuse)
     summary = support.run(STACK, tmp_path).summary
     assert summary["status"] == "converged" and summary["error"]["companions"] == []
     assert summary["error"]["failed"]

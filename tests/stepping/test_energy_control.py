@@ -140,7 +140,7 @@ def test_energy_control_of_a_law_from_outside(tmp_path: Path, pull: str) -> None
     ("change", "words"),
     [
         ("stiffness=3000 - 600 * x", "stiffness: 600 MPa/mm is too soft for tensile strength"),
-        ("unbonded=x", "unbonded: 4 at (4, "),
+        ("unbonded=x", "unbonded: 3.33333 at (3.33333, "),
         ("shear_energy=0.2 - x", "shear_energy: -3.8 at (4, "),
     ],
 )
