@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from app.case.hips import Hip
 
 ROUNDING_OF_CUT_NORMAL = 1e-12  # of a cut's normal: rounded off
+# Largest slope of the cut along y of the stem over that along x. Sections of the mesh are tilted by
+# multiples of both slopes, which a cut that slopes along y alone does not have.
+MOST_LEAN = 3.0
 # Least depth of a shoulder below the cut [mm]; a higher one counts as at the cut.
 LEAST_SHOULDER_DEPTH = 2.5
 # Beginning of the message on a stem for which the search finds no room.
@@ -72,9 +75,23 @@ class Placement:
 
     @cached_property
     def slopes(self) -> tuple[float, float]:
-        """Slope of the cut along x of the stem, and along y over that along x."""
+        """Slope of the cut along x of the stem, and along y over that along x.
+
+        Raises:
+            GeometryError: The cut slopes along y alone.
+        """
         x, y, z = self.normal @ self.rotation
-        return x / z, y / x if abs(y) > ROUNDING_OF_CUT_NORMAL else 0.0
+        if abs(y) <= ROUNDING_OF_CUT_NORMAL:
+            return x / z, 0.0
+        if abs(y) > MOST_LEAN * abs(x):
+            across, sideways = (math.degrees(math.atan(abs(v) / z)) for v in (x, y))
+            raise GeometryError(
+                f"geometry.resection: against the stem the neck cut is inclined by {across:.2g} "
+                f"degrees from lateral to medial, but by {sideways:.2g} degrees from front to back;"
+                " expected less from front to back: a larger angle of the resection, or less"
+                " flexion or version of the stem"
+            )
+        return x / z, y / x
 
     @property
     def tilt(self) -> float:
@@ -205,7 +222,8 @@ def shoulder_level(implant: Implant, placement: Placement, x: Floats) -> Floats:
     if edge > placement.top - LEAST_SHOULDER_DEPTH:
         return np.full(len(x), implant.length)
     local = placement.to_stem(x)
-    section = edge - local[:, :2] @ np.array(placement.slopes)
+    slope, lean = placement.slopes
+    section = edge - slope * (local[:, 0] + lean * local[:, 1])
     medial = femur_stem.half_width(implant, local[:, 2])
     return np.asarray(np.maximum(section - local[:, 2], local[:, 0] - medial))
 

@@ -28,7 +28,7 @@
     const foot = [...aside, (level - normal[0] * aside[0] - normal[1] * aside[1]) / normal[2]];
     const along = k => normal[0] * turn[0][k] + normal[1] * turn[1][k] + normal[2] * turn[2][k];
     const top = stem.shoulder - along(0) / along(2) * stem.lateral + p.depth;
-    const slope = along(0) / along(2), lean = Math.abs(along(1)) > 1e-12 ? along(1) / along(0) : 0;
+    const slope = along(0) / along(2), lean = Math.abs(along(1)) > 1e-12 ? Math.max(-3, Math.min(3, along(1) / along(0))) : 0; // 3: placement.MOST_LEAN
     return { turn, top, slope, lean, origin: foot.map((v, k) => v - top * turn[k][2]) };
   }
   // Points along the stem in its axes, section by section, as `meshes.room.StemSurface.placed_points`, and

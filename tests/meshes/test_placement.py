@@ -34,20 +34,25 @@ def test_placement_flexion_moves_the_tip_to_posterior() -> None:
     assert placement.rotation.T @ placement.rotation == pytest.approx(np.eye(3), abs=1e-14)
 
 
+@pytest.mark.parametrize("flexion", [0.0, 8.0])
 @pytest.mark.parametrize("depth", [2.0, 6.0])
-def test_placement_shoulder_is_between_its_section_and_the_cut(depth: float) -> None:
+def test_placement_shoulder_is_between_its_section_and_the_cut(
+    depth: float, flexion: float
+) -> None:
     """The section through the lateral edge is parallel to the cut; above it is the shoulder.
 
     A shoulder less than 2.5 mm below the cut counts as at the cut.
     """
-    placement = CUT.put(IMPLANT, replace(START, depth=depth), False)
+    start = replace(START, depth=depth, flexion=math.radians(flexion))
+    placement = CUT.put(IMPLANT, start, False)
     half_width = IMPLANT.half_width
-    lateral, anterior = np.array([-half_width, 0.0]), np.array([0.0, 1.0])
-    edge = placement.top - depth  # height of the section at the axis
+    lateral, anterior = np.array([-half_width, 0.0]), np.array([0.0, 5.0])
+    normal = placement.rotation.T @ placement.normal  # of the cut, in the stem's axes
 
     def on_plane(place: np.ndarray, above: float) -> np.ndarray:
-        height = edge - place @ np.array(placement.slopes) + above
-        return placement.to_model([*place, height])
+        """A point of the cut moved down along the axis by the depth, and up again."""
+        height = placement.top - depth - place @ normal[:2] / normal[2]
+        return placement.to_model([*place, height + above])
 
     points = np.array(
         [
@@ -164,3 +169,11 @@ def test_placement_shoulder_below_the_cut_has_cement_above(kind: str, folder: Pa
 def test_placement_refuses_a_stem_outside_the_canal() -> None:
     with pytest.raises(GeometryError, match=r"cuts .* mm into the cortex .*laterally at .* insert"):
         made(femur(insertion={"varus": "6 deg"}))
+
+
+def test_placement_refuses_a_cut_that_slopes_from_front_to_back_alone() -> None:
+    """A level cut and a stem in flexion: the angle of the cut helps, or less flexion."""
+    level = replace(CUT, normal=np.array([0.0, 0.0, 1.0]))
+    with pytest.raises(GeometryError, match=r"by 0 degrees .* but by 3 degrees from front to back"):
+        level.put(IMPLANT, replace(START, flexion=math.radians(3.0)), False)
+    assert level.put(IMPLANT, START, False).slopes == (0.0, 0.0)
