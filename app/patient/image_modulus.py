@@ -75,7 +75,7 @@ class ImageModulus(ModulusField):
             )
         self.__dict__["sha256"] = image.sha256
         if not self.modulus_of(-1e9) > 0.0:
-            fail(f"gives no positive modulus at {LEAST_DENSITY} g/cm3", at=("law",))
+            fail(f"gives no positive modulus at {LEAST_DENSITY} g/cm^3", at=("law",))
         softest, stiffest = MODULUS_RANGE
         if not softest < self.largest < stiffest:
             number = image.percentile_99_9
@@ -142,7 +142,7 @@ class ImageModulus(ModulusField):
         )
         details = {
             "image": "; ".join(self.image.summary),
-            f"E at {shown_densities} g/cm3 ({kind} density)": f"{shown_moduli} MPa",
+            f"E at {shown_densities} g/cm^3 ({kind} density)": f"{shown_moduli} MPa",
             "densest voxels": f"CT number {dense:g}, {densities}, E {self.largest / 1e3:.1f} GPa",
         }
         if isinstance(geometry, Patient):

@@ -50,7 +50,7 @@ def _stages_and_regions(case: Case) -> Iterable[Fault]:
             for rho in density(law.law, region.axial_moduli):
                 if not lowest <= rho <= highest:
                     message = (
-                        f"has {rho:.4g} g/cm3 by `remodelling.law`; expected {lowest:g} to"
+                        f"has {rho:.4g} g/cm^3 by `remodelling.law`; expected {lowest:g} to"
                         f" {highest:g}"
                     )
                     yield Fault(("regions", name), message)

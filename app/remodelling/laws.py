@@ -70,7 +70,7 @@ class Remodelling(Section):
             fail(f"{message} or stimulus (a value)")
         lowest, highest = self.density
         if lowest >= highest:
-            message = f"{lowest:g} is not below {highest:g} g/cm3; expected the smaller one first"
+            message = f"{lowest:g} is not below {highest:g} g/cm^3; expected the smaller one first"
             fail(message, ("density",))
         E = modulus_of_density(
             self.law, [lowest + (highest - lowest) * k / 200 for k in range(201)]

@@ -526,7 +526,7 @@ def _open_cracks(case: Case, parts: MeshPieces) -> Iterator[Verdict]:
             continue
         region_text = f"regions '{a}' and '{b}'" if a != b else f"two bodies of region '{a}'"
         message = (
-            f"{region_text} touch over {area:.3g} mm2, e.g. at {point_text(place)}, but share no "
+            f"{region_text} touch over {area:.3g} mm^2, e.g. at {point_text(place)}, but share no "
             "node: neither force nor heat passes between them"
         )
         remedy = (

@@ -65,7 +65,7 @@ def test_image_modulus_published_laws(even: Path, law: str, expected: list[float
         expected, abs=0.5
     )
     details = E.details(None)
-    (words,) = (text for key, text in details.items() if key.startswith("E at 0.3, 0.6, 1 g/cm3"))
+    (words,) = (text for key, text in details.items() if key.startswith("E at 0.3, 0.6, 1 g/cm^3"))
     assert words.endswith(f"{expected[2]:,} MPa")
     assert details["image"] == "arrays of numpy: 60 x 60 x 60 voxels of 1 x 1 x 1 mm, int16"
     below, above = (

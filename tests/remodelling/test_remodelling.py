@@ -176,7 +176,7 @@ LAW = "remodelling.law={density: apparent, ranges: [[0 g/cm^3, 0 MPa, 100 MPa, "
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        ("remodelling.density=[2 g/cm^3, 1 g/cm^3]", r"\.density: 2 is not below 1 g/cm3"),
+        ("remodelling.density=[2 g/cm^3, 1 g/cm^3]", r"\.density: 2 is not below 1 g/cm\^3"),
         ("remodelling.stimulus=", r"remodelling: needs a reference: expected intact"),
         ("remodelling.stimulus=0 J/g", r"stimulus: 0 J/g must be positive"),
         ("remodelling.rate=-1 g^2/(cm^6 MPa s)", r"rate: .* must be positive"),
@@ -188,7 +188,7 @@ LAW = "remodelling.law={density: apparent, ranges: [[0 g/cm^3, 0 MPa, 100 MPa, "
         (f"{LAW}-1]]}}", r"law: does not rise between the bounds"),
         (
             "regions.bone.youngs_modulus=1 GPa",
-            r"regions.bone: has 3.162 g/cm3 .*; expected 0.01 to",
+            r"regions.bone: has 3.162 g/cm\^3 .*; expected 0.01 to",
         ),
         ("remodelling=", r"stages\[1\].remodels: the law of remodelling is missing or wrong"),
         ("stages=[{name: press}]", r"stages: no stage has remodelling"),

@@ -59,7 +59,7 @@ def test_remodelling_bounds(problem: KnownProblem) -> None:
 @verify
 def test_remodelling_course(problem: KnownProblem) -> None:
     problem.expects(
-        "density after 2 s, over the tolerance of a step, 1e-2 to 1e-4 g/cm3",
+        "density after 2 s, over the tolerance of a step, 1e-2 to 1e-4 g/cm^3",
         tolerance=0.5,
         source="integration of the differential equation",
     )
