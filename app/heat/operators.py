@@ -59,7 +59,7 @@ class HeatOperators:
         InputError: The scene does not fit the mesh.
     """
 
-    saved = ("principle",)
+    saved = ("principle", "jumps")
 
     def __init__(self, scene: Scene, tagged: TaggedMesh, timing: Timing) -> None:
         self.scene, self.tagged = scene, tagged

@@ -61,6 +61,8 @@ class TemperatureJumps:
         InputError: An interface has no facets on this mesh.
     """
 
+    saved = ("pressure",)
+
     def __init__(
         self,
         scene: Scene,
@@ -113,6 +115,11 @@ class TemperatureJumps:
         self._law.set(
             open=conductances[:, 0], per_pressure=conductances[:, 1], cap=conductances[:, 2]
         )
+
+    @property
+    def row_keys(self) -> Ints:
+        """Keys of owned points."""
+        return self.owned_rows
 
     def flux(self, τ: Floats) -> tuple[Floats, Floats, Floats]:
         """Heat flux q from master to slave [N/(mm s)] at jumps τ of owned points (n,) [K].

@@ -143,12 +143,8 @@ class Problem:
         """
         self.scene = scene
         self.set_stage(0, self.stiffness.K.createVecRight())
-        for state in (
-            self.u,
-            *self.jump_displacements.values(),
-            *self.body_forms.free_strain.values(),
-        ):
-            state.x.array[:] = 0
+        for function in self._functions:
+            function.x.array[:] = 0
         if self.stress_history:
             self.stress_history.begin()
         if self.sliding:
@@ -381,6 +377,25 @@ class Problem:
     def displacements(self) -> list[fem.Function]:
         """Displacement of each body, as last updated."""
         return [self.jump_displacements.get(b, self.u) for b in range(len(self.bodies.names))]
+
+    @property
+    def _functions(self) -> list[fem.Function]:
+        """Displacements and thermal strains, which change before a step is committed."""
+        strains = self.body_forms.free_strain.values()
+        return [self.u, *self.jump_displacements.values(), *strains]
+
+    def keep(self) -> None:
+        """Keep time, displacements and thermal strains for `return_to_kept`."""
+        self._kept = self.time, [f.x.array.copy() for f in self._functions]
+
+    def return_to_kept(self) -> None:
+        """Return to the time, displacements and thermal strains last kept; collective."""
+        time, values = self._kept
+        for function, kept in zip(self._functions, values, strict=True):
+            function.x.array[:] = kept
+        if self.thermal_strain:
+            self.forces.set_eigenforces("heat", self.thermal_strain.forces())
+        self.set_time(time)
 
     def commit(self, trial: TrialState | None) -> None:
         """Commit a converged state, after `update_displacements`."""

@@ -308,6 +308,16 @@ class Model:
             self._steppers.extension_steppers = steppers(stages, self, self._steppers.load)
         return self._steppers.run(stages, on_stage, checkpoint_point, resume())
 
+    def return_to_last_step(self) -> None:
+        """Return to the last committed step after one that failed or was stopped; collective.
+
+        Only what results read is returned: no further step can follow.
+        """
+        if self.mechanics:
+            self.mechanics.problem.return_to_kept()
+        if self.thermal:
+            self.thermal.return_to_last_step()
+
     def saved_parts(self) -> dict[str, object]:
         """All state on which later steps depend, in the order in which it is restored."""
         saved_objects: dict[str, object] = {

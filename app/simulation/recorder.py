@@ -321,10 +321,7 @@ class Recorder:
 
         writes: tuple[Callable[[], None], ...] = (finish,)
         if summary is None:
-            mechanics = self._model.mechanics
-            if mechanics:
-                # The problem still has the loads of the failed step.
-                mechanics.problem.set_time(self.time)
+            self._model.return_to_last_step()
             if self.step_count:
                 writes = (self.flush, finish)
         for write in writes:

@@ -57,6 +57,26 @@ class ThermalModel:
             self.cure = CureRecord(operators.comm, heating.degrees(), keys)
         self.balance = HeatBalance(operators.stored(heating.vectors()), {})
         self.flows: dict[str, dict[str, float]] = {}
+        self._keep()
+
+    def restored(self) -> None:
+        """Keep the restored state as that of the last step."""
+        self._keep()
+
+    def _keep(self) -> None:
+        """Keep the state of the heat and the contact pressures that its fluxes depend on."""
+        jumps = self.operators.jumps
+        self._kept = self.heating.state, jumps.pressure if jumps else None
+
+    def return_to_last_step(self) -> None:
+        """Return to the heat of the last recorded step.
+
+        A heat step is accepted before the mechanics follow, and recorded after them.
+        """
+        self.heating.state, pressure = self._kept
+        self.heating.set_solver_state(self.heating.state)
+        if self.operators.jumps and pressure is not None:
+            self.operators.jumps.pressure = pressure
 
     def _reported(self, seconds: float) -> list[fem.Function]:
         """Reported temperatures of the bodies at a time [s]; collective."""
@@ -67,6 +87,7 @@ class ThermalModel:
 
     def update(self, heat_step: HeatStep) -> None:
         """Record an accepted step; collective."""
+        self._keep()
         heating, operators = self.heating, self.operators
         x = heating.vectors()
         temperatures = operators.temperatures(x)

@@ -144,6 +144,11 @@ class LoadStepper:
         self._extrapolation = Extrapolation(self.solver, self.problem.scene.last_reversal)
         self.predictors = (self._extrapolation, *self.predictors)
         self.progress, self._cover = LoadProgress(), Cover(self.problem)
+        self.problem.keep()
+
+    def restored(self) -> None:
+        """Keep the restored state as the last committed one."""
+        self.problem.keep()
 
     def solve(self) -> NewtonResult:
         """Solve until points with finite sliding are paired with the facets that they touch."""
@@ -241,6 +246,7 @@ class LoadStepper:
                 raise ConvergenceError(replace(verdict, where=location))
         problem.update_displacements(u, q)
         problem.commit(trial)
+        problem.keep()
         for predictor in self.predictors:
             predictor.commit(time)
         self.total.steps += 1

@@ -12,8 +12,12 @@ import pytest
 import mantle
 from app.case.case import load_case
 from app.foundation.errors import StoppedError
+from app.numerics import remedies
+from app.numerics.newton import NewtonResult, Solver
+from app.results.reading import Results
 from app.simulation.recorder import AcceptedStep
 from tests import support
+from tests.cases import coupled
 from tests.cases.blocks import HALVES
 
 # A bar of two halves, 2 GPa and 1 GPa, each 2 mm long, is pulled by 3 MPa, then by half of this.
@@ -45,6 +49,43 @@ supports:
 stages: [{name: press}, {name: push, increments: 2}]
 output: {fields: false, report: false}
 """
+# An insulated block of 1000 kg/m3 and 1000 J/(kg K) is heated by 1 MW/m3: 1 K in each second.
+HEATED = """\
+geometry: {kind: blocks, blocks: [{name: block, size: [2 mm, 2 mm, 2 mm]}]}
+mesh: {order: 1, size: 2 mm}
+regions:
+  block: {kind: conductor, thermal: {conductivity: 0.5 W/(m K), density: 1000 kg/m^3,
+    specific_heat: 1000 J/(kg K), initial_temperature: 20 degC}}
+heat: {inside: {kind: source, regions: [block], density: 1e6 W/m^3}}
+stages: [{name: warm, duration: 4 s, increments: 4, adaptive: false}]
+time: {method: backward_euler}
+"""
+# Two blocks between walls are warmed by 10 K in each second. Their stress along z is -E α ΔT, which
+# is 0.1 MPa/K.
+SQUEEZED = """\
+geometry: {kind: blocks, blocks: [{name: lower, size: [2 mm, 2 mm, 2 mm]},
+                                  {name: upper, size: [2 mm, 2 mm, 2 mm]}]}
+mesh: {order: 1, size: 2 mm}
+regions:
+  lower: &block {youngs_modulus: 1 GPa, poisson_ratio: 0, tissue: other, thermal: {
+    conductivity: 0.5 W/(m K), density: 1000 kg/m^3, specific_heat: 1000 J/(kg K),
+    initial_temperature: 20 degC, thermal_expansion: 1e-4 1/K}}
+  upper: *block
+interfaces: {lower_upper: {kind: contact, friction_coefficient: 0, conductance: 1e4 W/(m^2 K)}}
+supports:
+  bottom: {kind: roller, boundary: bottom, axis: z}
+  top: {kind: roller, boundary: top, axis: z}
+  lower_x: {kind: roller, boundary: lower_x_min, axis: x}
+  lower_y: {kind: roller, boundary: lower_y_min, axis: y}
+  upper_x: {kind: roller, boundary: upper_x_min, axis: x}
+  upper_y: {kind: roller, boundary: upper_y_min, axis: y}
+heat:
+  bath: {kind: temperature, regions: [lower, upper], time_course: [[0 s, 20 degC], [4 s, 60 degC]]}
+stages: [{name: warm, duration: 4 s, increments: 4, adaptive: false}]
+time: {mechanical_step: 5 K}
+"""
+# Fields are written only when the run has stopped.
+LATE_FIELDS = ("output.every=99", "output.report=false")
 
 
 def rows_of(folder: Path) -> list[dict[str, str]]:
@@ -178,3 +219,97 @@ def test_recorder_columns_of_interfaces_and_their_critical_friction(tmp_path: Pa
     assert interface["slip_fraction"] == pytest.approx(1.0)
     assert interface["critical_friction"] > 0
     assert set(results.summary["solver"]["augmentation"]) == {"lower_upper"}
+
+
+def stopped(
+    monkeypatch: pytest.MonkeyPatch, folder: Path, text: str, solve: str, count: int, *options: str
+) -> Results:
+    """Results of a run that is stopped at the end of a solve, before its step is committed.
+
+    ``solve`` is the module of `app.stepping` that calls the solver, ``count`` the number of calls.
+    """
+    path = folder / "case.yaml"
+    path.write_text(text)
+    calls: list[NewtonResult] = []
+
+    def solve_and_stop(solver: Solver) -> NewtonResult:
+        calls.append(remedies.solve(solver))
+        if len(calls) == count:
+            raise StoppedError("enough")
+        return calls[-1]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(f"app.stepping.{solve}.solve", solve_and_stop)
+        with pytest.raises(StoppedError, match="enough"):
+            mantle.run(load_case(path, [*options, *LATE_FIELDS]), folder / "out")
+    return Results(folder / "out")
+
+
+def test_recorder_writes_the_temperature_of_the_last_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The third solve gives the rate at the start and steps to 1 s and 2 s: the last is stopped."""
+    results = stopped(monkeypatch, tmp_path, HEATED, "heat_state", 3)
+    assert results.step_record["seconds [s]"].tolist() == [1.0]
+    for name in ("temperature", "temperature_peak"):
+        np.testing.assert_allclose(results.fields.on_points(name), 21.0, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("solves", "warming", "row"), [(3, 10, 10), (4, 15, 10), (5, 20, 20)])
+def test_recorder_writes_the_stress_of_the_last_step_of_mechanics(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, solves: int, warming: float, row: float
+) -> None:
+    """Mechanics follow each heat step of 10 K in two steps of 5 K; the last solve is stopped.
+
+    The heat is that of the last row.
+    """
+    results = stopped(monkeypatch, tmp_path, SQUEEZED, "load_steps", solves)
+    summary, fields = results.summary, results.fields
+    pressure = 0.1 * warming
+    for region in ("lower", "upper"):
+        assert summary["regions"][region]["principal_min"] == pytest.approx(-pressure, rel=1e-8)
+    interface = summary["interfaces"]["lower_upper"]
+    assert interface["pressure_mean"] == pytest.approx(pressure, rel=1e-8)
+    np.testing.assert_allclose(fields.on_points("principal_min"), -pressure, rtol=1e-8)
+    for name in ("temperature", "temperature_peak"):
+        np.testing.assert_allclose(fields.on_points(name), 20.0 + row, rtol=1e-9)
+
+
+def test_recorder_writes_heat_and_stress_of_the_last_step_solved_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The third of four heat steps is stopped. A shorter run ends with the second."""
+    results = stopped(monkeypatch, tmp_path, coupled.CASE, "heat_state", 3)
+    shorter = ("stages.1.duration=1 s", "stages.1.increments=2", "supports.slide.history=[0, 0.5]")
+    expected = support.run(coupled.CASE, tmp_path / "shorter", *shorter)
+    for name in (
+        "temperature",
+        "lower_upper_temperature_jump",
+        "lower_upper_heat_flux",
+        "lower_upper_pressure",
+        "displacement",
+        "stress",
+    ):
+        values = expected.fields.on_points(name)
+        atol = 1e-9 * np.abs(values).max()
+        np.testing.assert_allclose(results.fields.on_points(name), values, 1e-9, atol)
+    for name in ("regions", "interfaces"):
+        for place, numbers in expected.summary[name].items():
+            assert results.summary[name][place] == pytest.approx(numbers, rel=1e-9)
+
+
+def test_recorder_writes_displacements_of_the_last_step_with_finite_sliding(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second step is stopped after points were paired again; its load is a side force."""
+    text = f"{support.HEAD_CUP}motions: {{ball: {{region: head, about: head_centre}}}}\n"
+    press = "loads.press={kind: force, boundary: head_bore, force: [300 N, 100 N, 2000 N]}"
+    expected = support.run(text, tmp_path / "pressed", press).fields.displacement()
+    options = (
+        press.replace("]}", "], history: [1, 1]}"),
+        "loads.side={kind: force, boundary: head_bore, force: [1500 N, 0 N, 0 N], history: [0, 1]}",
+        "stages=[{name: press}, {name: side}]",
+    )
+    results = stopped(monkeypatch, tmp_path, text, "load_steps", 4, *options)
+    assert results.step_record["time [-]"].tolist() == [1.0]
+    np.testing.assert_allclose(results.fields.displacement(), expected, 1e-9, 1e-9)

@@ -271,3 +271,14 @@ def test_session_restart_appends_fields_to_their_file(tmp_path: Path) -> None:
     assert list(again.times) == list(whole.times)
     for k, u in enumerate(before):
         assert np.allclose(again.displacement(k), u, rtol=1e-6, atol=1e-9)
+
+
+def test_session_restart_writes_the_heat_flux_of_a_finished_run(tmp_path: Path) -> None:
+    """No step is left; the conductance follows the pressure of the checkpoint."""
+    case, files = restarted.whole(coupled.CASE, tmp_path)
+    part = restarted.on(case, tmp_path, files[-1])
+    flux, expected = (
+        Run(folder).on_points("lower_upper_heat_flux") for folder in (part, tmp_path / "whole")
+    )
+    assert np.abs(expected).max() > 1e4
+    np.testing.assert_allclose(flux, expected, rtol=1e-6)
