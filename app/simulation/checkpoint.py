@@ -36,7 +36,7 @@ from app.system import folders
 log = logging.getLogger("mantle")
 
 # Version of the file layout.
-FORMAT = 13
+FORMAT = 14
 # Key in the header, in place of rows, with the names of their arrays.
 ROWS = "@rows"
 # Number of checkpoints that stay on disk.
