@@ -151,7 +151,8 @@ def cohesive_state(
     damage = conditional(is_loading, 1 - remaining_at_jump, committed["damage"])
     bonded = 1 - law.unbonded
     remaining = bonded * conditional(is_loading, remaining_at_jump, 1 - committed["damage"])
-    # If the mode mixture changes, more damage may be a smaller part of another fracture energy.
+    # With another mode mixture, more damage may be a smaller part of another fracture energy:
+    # `spent` is then kept, so that it never falls.
     spent_at_jump = law.spent(m, m_0, G)
     is_spending = And(is_loading, ge(spent_at_jump, committed["spent"] - LOADING))
     spent = conditional(is_spending, spent_at_jump, committed["spent"])

@@ -73,7 +73,7 @@ from forms import Scalar
 ROUNDING = 1e-9
 # The tangential trial force may exceed the limit of friction by this fraction, and the point still
 # has the status STICK [-]. Rounding errors then do not decide while loads are constant.
-AT_REST = 1e-6
+LIMIT_ROUNDING = 1e-6
 
 # Status of a point without contact.
 OPEN = 0
@@ -135,7 +135,6 @@ class Response:
         debonded_share: Debonded share of the area, on which contact acts [-]; None if there is
             none.
         debonded_share_by_jump: Its derivative with respect to the jump (3,) [1/mm].
-        energy: Augmented Lagrangian per area [N/mm], with the starred force still frozen.
     """
 
     force: Expr
@@ -150,7 +149,6 @@ class Response:
     dissipated_by_jump: Expr | None = None
     debonded_share: Expr | None = None
     debonded_share_by_jump: Expr | None = None
-    energy: Expr | None = None
 
 
 @dataclass(frozen=True)
@@ -185,7 +183,7 @@ class _Touching:
             return STICK * _ONE
         if self.sticks is None:
             return SLIP * _ONE
-        limit = (1 + AT_REST) * self.radius
+        limit = (1 + LIMIT_ROUNDING) * self.radius
         return conditional(le(inner(self.tangential, self.tangential), limit**2), STICK, SLIP)
 
 
@@ -218,13 +216,31 @@ def contact_law(
         r: Augmentation [MPa/mm].
 
     Returns:
-        Force, its derivative by the multiplier, pressures, status and energy.
+        Force, its derivative by the multiplier, pressures and status.
     """
     multiplier = variable(λ)
     q = variable(jump)
-    # The normal part of the trial force is that of S, its tangential part that of dS.
-    S = multiplier + r * (q + initial_gap)
-    dS = multiplier + r * (q - jump_old)
+    energy = augmented_lagrangian(multiplier, q, initial_gap, jump_old, S_star, normals, μ, r)
+    S, dS = _trial_forces(multiplier, q, initial_gap, jump_old, r)
+    force = replace(derivative(energy, q), {S_star: S})
+    by_multiplier = derivative(force, multiplier)
+    states = _states(S, dS, normals, μ)
+    pressures, status = _pressures_and_status(states, len(normals))
+    return Response(force, by_multiplier, None, pressures, status)
+
+
+def augmented_lagrangian(
+    λ: Expr,
+    jump: Expr,
+    initial_gap: Expr,
+    jump_old: Expr,
+    S_star: Coefficient,
+    normals: Sequence[Expr],
+    μ: Scalar | None,
+    r: Scalar,
+) -> Expr:
+    """Augmented Lagrangian per area [N/mm], with S* still frozen; arguments as `contact_law`."""
+    S, dS = _trial_forces(λ, jump, initial_gap, jump_old, r)
     states = _states(S, dS, normals, μ)
     # The same states with the frozen trial force in the radius of the friction disc.
     frozen_states = _states(S_star, dS, normals, μ)
@@ -237,13 +253,14 @@ def contact_law(
         friction_square = _square_in_disc(state, frozen_states[k].radius)
         return inner(normal_part, normal_part) + friction_square
 
-    square = _choose(states, carried_square)
-    energy = (square - inner(multiplier, multiplier)) / (2 * r)
+    return (_choose(states, carried_square) - inner(λ, λ)) / (2 * r)
 
-    force = replace(derivative(energy, q), {S_star: S})
-    by_multiplier = derivative(force, multiplier)
-    pressures, status = _pressures_and_status(states, len(normals))
-    return Response(force, by_multiplier, None, pressures, status, energy=energy)
+
+def _trial_forces(
+    λ: Expr, jump: Expr, initial_gap: Expr, jump_old: Expr, r: Scalar
+) -> tuple[Expr, Expr]:
+    """Trial forces S, which has the normal part, and dS, which has the tangential one [MPa]."""
+    return λ + r * (jump + initial_gap), λ + r * (jump - jump_old)
 
 
 def _states(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Scalar | None) -> list[_Touching]:

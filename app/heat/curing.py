@@ -21,6 +21,7 @@ from app.foundation.arrays import Bools, Floats, Ints
 from app.heat.heat_forms import HeatForms
 from app.laws.cure import Autocatalytic, Cure, Prescribed
 from app.laws.values import multiplier
+from app.numerics.integrator import SAME_TIME
 from app.numerics.pointwise import Pointwise
 from app.scene.bodies import Bodies
 from app.scene.scene import Scene
@@ -31,8 +32,6 @@ from forms import cure as forms
 UNREACTED = 1e-6
 # Degrees further than this from [0, 1] are not rounding errors.
 ROUNDING_OF_DEGREES = 1e-12
-# Relative difference up to which times count as equal.
-SAME_TIME = 1e-10
 # Below this degree errors count relative to the degree.
 _SMALL_DEGREE = 1e-2
 # Smallest degree that errors are relative to.
@@ -65,7 +64,7 @@ class Degrees:
 def are_admissible(degrees: Floats) -> bool:
     """Return True if every degree is in [0, 1] up to rounding.
 
-    A stage of too long a time step may start from one that does not.
+    An implicit stage of too long a time step may start from one that does not.
     """
     return bool((np.abs(degrees - 0.5) <= 0.5 + ROUNDING_OF_DEGREES).all())
 

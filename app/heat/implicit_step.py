@@ -1,6 +1,6 @@
 r"""One implicit solve of temperature and temperature jumps, as a system for Newton's method.
 
-A stage of a time step computes the state at the end of an interval of length h from the
+An implicit stage of a time step computes the state at the end of an interval of length h from the
 temperature T* at its start. Unknowns are the continuous temperature θ and, with interfaces of
 finite conductance, the jumps τ of their points. With the temperature T_b = θ + B_b τ of each body
 (`HeatOperators.nodal`) and its residual heat (`evaluate` sums the terms)
@@ -30,8 +30,9 @@ Rows of prescribed temperatures and jumps have a zero residual; `impose` sets th
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -88,7 +89,7 @@ class ImplicitStep(System):
 
     prefix = "mantle_heat_"
     # Nearly linear: two iterations suffice if the first is solved well.
-    newton: Options = {"ksp_rtol": 1e-5}  # noqa: RUF012
+    newton: Mapping[str, str | float] = MappingProxyType({"ksp_rtol": 1e-5})
     saved = ("operators",)
 
     def __init__(self, operators: HeatOperators) -> None:

@@ -183,15 +183,16 @@ class KeptFactors:
         self.factorizations = 0
         # Matrices and applications since the last factorization.
         self._solves = self._applications = 0
-        # PETSc's state numbers of the matrix last seen, and of the matrix factored.
+        # PETSc's state numbers of the matrix last seen, and of the matrix factored; -1 before.
         self._seen_state = self._factored_state = -1
         self._entries = 0.0
 
     def setUp(self, pc: PETSc.PC) -> None:
         """Factor the first matrix; collective."""
-        if not self.factorizations:
+        if self._factored_state < 0:
             self._matrix = pc.getOperators()[1]
             self._factor()
+            self._x, self._y = self._single_matrix.createVecs()
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Solve with the current factors, or with new ones if due; collective.
@@ -250,8 +251,6 @@ class KeptFactors:
         self.factorizations += 1
         self._seen_state = self._factored_state = self._matrix.stateGet()
         self._solves, self._applications = 1, 0
-        if self.factorizations == 1:
-            self._x, self._y = self._single_matrix.createVecs()
 
 
 def _subvectors(x: PETSc.Vec) -> list[PETSc.Vec]:

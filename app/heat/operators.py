@@ -2,13 +2,8 @@ r"""Heat matrices of a scene on its mesh.
 
 They are constant, except the conduction matrices, which the maximum principle may correct.
 
-The temperature of body b is T_b = θ + B_b τ (see `heat.temperature_jumps`). Over an interval h that
-started at T*, the residual heat of its nodes is
-
-.. math:: r_b = M_b (T_b - T_b^*)/h + K_b T_b + R_b (T_b - T_a) - f_b
-
-(M lumped capacity, K conduction, R exchange with surroundings at T_a, f heat sources).
-`heat.implicit_step` solves such an interval.
+The temperature of body b is T_b = θ + B_b τ (see `heat.temperature_jumps`). `heat.implicit_step`
+has the equation of an interval of time, solves it, and says which operator has which term.
 """
 
 from __future__ import annotations

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 # Smaller densities of a law are taken as this [g/cm3].
 LEAST_DENSITY = 0.01
-Table = tuple[tuple[float, float, float, float], ...]
+Ranges = tuple[tuple[float, float, float, float], ...]
 # Kind of density, and from which on [g/cm3] E = a + b rho^c: from, a [MPa], b [MPa], c.
-LAWS: dict[str, tuple[str, Table]] = {
+LAWS: dict[str, tuple[str, Ranges]] = {
     "morgan_neck": ("apparent", ((0.0, 0.0, 6850.0, 1.49),)),
     "keyak": (
         "ash",
@@ -52,7 +52,7 @@ Law = Annotated[
 ]
 
 
-def table_of(law: str | DensityLaw) -> tuple[str, Table]:
+def table_of(law: str | DensityLaw) -> tuple[str, Ranges]:
     """Kind of density of a law and its ranges: start [g/cm3], a [MPa], b [MPa], c [-]."""
     return LAWS[law] if isinstance(law, str) else (law.density, law.ranges)
 

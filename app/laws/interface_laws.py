@@ -247,9 +247,14 @@ class InterfaceLaw(Extensible):
         return isinstance(self.conductance, PressureConductance)
 
     # Some laws have keys for these properties. A key cannot have the name of a property of its
-    # base class, so the names differ: `sliding` gives `finite_sliding`, `quadrature`
-    # `mortar_points`, `between` `sliding_boundaries`, `friction_heating` `heated_by_friction`,
-    # `gap_history` `gap_multipliers`, and `zones` `surface_zones`.
+    # base class, so the names differ:
+    #   key                 property
+    #   `sliding`           `finite_sliding`
+    #   `quadrature`        `mortar_points`
+    #   `between`           `sliding_boundaries`
+    #   `friction_heating`  `heated_by_friction`
+    #   `gap_history`       `gap_multipliers`
+    #   `zones`             `surface_zones`
 
     @property
     def finite_sliding(self) -> bool:

@@ -60,9 +60,8 @@ Status = Literal["measured", "assumed", "unverified"] | None
 Source = Text | None
 # Source of values that were not looked up.
 MEMORY = "from memory: check"
-ROUNDING_OF_HEIGHTS = (
-    1e-6  # mm: heights of the nodes of a mesh, which may be on the border of a zone
-)
+# Rounding error of heights of the nodes of a mesh, which may be on the border of a zone [mm].
+ROUNDING_OF_HEIGHTS = 1e-6
 # Multipliers at the ends of the stages.
 LoadHistory = Annotated[tuple[Number, ...], ITEMS] | None
 # Pairs of seconds since the start of the run and multiplier.
@@ -189,11 +188,11 @@ class NoStem:
 
     def on_flanks(self, x: Floats) -> Bools:
         """True everywhere."""
-        return x[:, 2] == x[:, 2]
+        return np.ones(len(x), dtype=bool)
 
     def off_bone(self, interface: str, x: Floats) -> Bools:
         """True nowhere."""
-        return x[:, 2] != x[:, 2]
+        return np.zeros(len(x), dtype=bool)
 
 
 # Pairs that begin with a time.

@@ -140,7 +140,7 @@ class BodyForms:
         u: The continuous displacement.
         springs: Stiffness of each elastic foundation.
         free_strain: Thermal strain of each expanding elastic region, at the vertices [-].
-        growth: Modulus of each curing region over its final one, at the vertices [-].
+        modulus_ratio: Modulus of each curing region over its final one, at the vertices [-].
         density_regions: Regions whose stiffness follows a density that changes.
         density, density_at_start: That density at all vertices of this rank, ghosts too
             (n, r) [g/cm3].
@@ -151,10 +151,10 @@ class BodyForms:
             same.
 
     Raises:
-        InputError: A load acts on nothing, or nothing can carry its moment.
+        InputError: A load acts on nothing.
     """
 
-    saved = ("growth", "density")
+    saved = ("modulus_ratio", "density")
 
     def __init__(self, scene: Scene, tagged: TaggedMesh, bodies: Bodies, timing: Timing) -> None:
         self.scene, self.tagged, self.bodies = scene, tagged, bodies
@@ -186,12 +186,12 @@ class BodyForms:
             for e in scene.elastic
             for k in range(len(e.eigenstrains))
         }
-        self.growth = {c.region: fem.Function(self.scalars) for c in scene.cures}
+        self.modulus_ratio = {c.region: fem.Function(self.scalars) for c in scene.cures}
         self.path_dependent_regions = {c.region for c in (*scene.cures, *scene.creeps)}
         self.free_strain = {
             x.region: fem.Function(self.scalars)
             for x in scene.expansions
-            if x.region not in self.growth
+            if x.region not in self.modulus_ratio
         }
 
     @cached_property
@@ -369,7 +369,7 @@ class BodyForms:
             ):
                 ψ = self.energy_density(e, elasticity.strain(v))
                 dx_e = dx(self.tagged.regions[e.region], degree=self.path_dependent_degree)
-                total += self.growth.get(e.region, 1) * ψ * dx_e
+                total += self.modulus_ratio.get(e.region, 1) * ψ * dx_e
         return total
 
     def set_amplitudes(self, value: dict[tuple[str, int], float]) -> None:

@@ -23,7 +23,7 @@ FREE_SLOPE = 0.5
 LARGE_BOXES = 1.5
 # Small ones: their edge over that of the mesh, by the order of the displacement.
 SMALL_BOX_EDGE = {1: 5.0, 2: 2.5}
-# Halvings of their edge.
+# Edge of large boxes over that of the next larger ones, in the search for their size.
 BOX_SHRINKAGE = 0.95
 
 

@@ -65,7 +65,7 @@ class TrialState:
     """Contact at a trial state.
 
     Attributes:
-        contact: The contact points of this rank.
+        contact: The contact of all interfaces.
         equilibrium: Residual e of equilibrium at local points (n, 3) [N].
         jump: Jumps of local points (n, 3) [mm].
         forces: Forces by the laws, and their derivatives.
@@ -79,7 +79,7 @@ class TrialState:
     def friction_and_slip(self) -> tuple[Floats, Floats]:
         """Friction [MPa] and slip [mm] of a step by the laws, each (n, 3).
 
-        Both are exactly zero without errors of the solver: at points that are open or stick, that
+        Both are exactly zero, without errors of the solver, at points that are open or stick, that
         have no friction, or whose law is not contact alone.
         """
         contact, law = self.contact, self.forces
@@ -88,7 +88,7 @@ class TrialState:
         motion = (
             self.jump - contact.gaps.reference + force_deficit / contact.laws.augmentation[:, None]
         )
-        has_friction = contact.laws.law_has_friction & contact.laws.law_is_contact
+        has_friction = contact.laws.has_friction & contact.laws.is_contact
         is_slipping = (has_friction & (law.status == SLIP))[:, None]
         closed_faces = self._closed_faces(motion)
         friction = np.where(is_slipping, contact.local.tangential(force, closed_faces), 0.0)
@@ -114,23 +114,24 @@ class TrialState:
         point opens.
         """
         contact = self.contact
-        sliding_motion = self.sliding(self.jump - self._layer_stretch(friction))
+        sliding_motion = self.tangential_in_contact(self.jump - self._layer_stretch(friction))
         slip = np.where(
-            contact.laws.law_is_contact[:, None], sliding_motion, self.forces.outputs["slip"]
+            contact.laws.is_contact[:, None], sliding_motion, self.forces.outputs["slip"]
         )
         if contact.finite_sliding is not None:
             rows = contact.finite_sliding.rows
             slip[rows] = (
-                contact.state.slip[rows] + self.sliding(self.jump - contact.gaps.reference)[rows]
+                contact.state.slip[rows]
+                + self.tangential_in_contact(self.jump - contact.gaps.reference)[rows]
             )
         return slip
 
     def _layer_stretch(self, friction: Floats) -> Floats:
         return np.einsum("pij,pj->pi", self.contact.laws.compliance, friction)
 
-    def sliding(self, motion: Floats) -> Floats:
+    def tangential_in_contact(self, motion: Floats) -> Floats:
         """Tangential part of a motion where points touch, 0 where they are open (n, 3) [mm]."""
-        is_touching = (self.contact.laws.law_can_open & (self.forces.status != OPEN))[:, None]
+        is_touching = (self.contact.laws.can_open & (self.forces.status != OPEN))[:, None]
         tangential = self.contact.local.tangential(motion, self._closed_faces(motion))
         return np.where(is_touching, tangential, 0.0)
 
@@ -163,8 +164,10 @@ class TrialState:
         friction_work = np.einsum("pi,pi->p", *self.friction_and_slip())
         dissipated = weight * (outputs["dissipated"] + law.debonded_friction_work + friction_work)
         layer_energy = np.einsum("pi,pij,pj->p", force, contact.laws.compliance, force) / 2
-        slip_step = self.sliding(step - self._layer_stretch(friction - before.friction))
-        slip_step = np.where(contact.laws.law_is_contact[:, None], slip_step, slip - before.slip)
+        slip_step = self.tangential_in_contact(
+            step - self._layer_stretch(friction - before.friction)
+        )
+        slip_step = np.where(contact.laws.is_contact[:, None], slip_step, slip - before.slip)
         slip_length = np.linalg.norm(slip_step, axis=1)
         contact_work = (
             np.einsum(
@@ -368,7 +371,7 @@ class ContactInterfaces:
 
     def _sticking(self, touching: Bools, bonded: Bools) -> Bools:
         """Mask of points that resist any jump, by friction, a bond or a remedy (n,)."""
-        return bonded | self.remedies.switches.stuck | (touching & self.laws.law_has_friction)
+        return bonded | self.remedies.switches.stuck | (touching & self.laws.has_friction)
 
     def augmentation(self) -> dict[str, float]:
         """Augmentation of each interface that can open [MPa/mm], by name; collective."""

@@ -35,7 +35,8 @@ class ContactGaps:
     Attributes:
         initial_gap: Vectors g of the initial gap at the current time and pairs (n, 3) [mm].
         committed_jump: Jumps of the committed state, expressed in the current pairs (n, 3) [mm].
-        end_of_insertion: Time up to which the gap of press fits changes.
+        end_of_insertion: End of the last stage in which the gap of press fits changes. It is the
+            same whole number on the load histories and in times of the run.
 
     Args:
         comm: All ranks.
@@ -152,7 +153,7 @@ class ContactGaps:
     def gap_at_pairing(self) -> Floats:
         """Gap along the normal when points were paired last (n,) [mm].
 
-        In small sliding it is the gap by the keys, whatever the jump.
+        Without finite sliding: the gap that the keys give.
         """
         gap = self._gap_by_keys.copy()
         if self._finite_sliding is not None:

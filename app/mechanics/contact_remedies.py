@@ -111,7 +111,7 @@ class ContactRemedies:
         Yields:
             True if interfaces are opened.
         """
-        opened = self._laws.law_has_contact & self._laws.law_can_open
+        opened = self._laws.has_contact & self._laws.can_open
         with self._switched(replace(self.switches, opened=opened)):
             yield bool(self._comm.allreduce(bool(opened.any()), MPI.LOR))
 
@@ -134,7 +134,7 @@ class ContactRemedies:
         Yields:
             True if there is contact with friction.
         """
-        has_local_friction = bool((self._laws.law_has_friction & self._laws.law_is_contact).any())
+        has_local_friction = bool((self._laws.has_friction & self._laws.is_contact).any())
         has_friction = bool(self._comm.allreduce(has_local_friction, MPI.LOR))
         given = np.zeros((len(self._local), 3)) if has_friction else None
         with self._switched(replace(self.switches, tresca_trial_force=given)):

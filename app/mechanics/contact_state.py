@@ -93,9 +93,9 @@ class LocalPoints:
         """Remove prescribed components in which the law does not act from vectors (n, 3)."""
         return self.project_free(vectors) + self.prescribed_tangential(vectors)
 
-    def tangential(self, vectors: Floats, faces: Bools) -> Floats:
-        """Part of vectors (n, 3) tangential to some of the faces (n, 3)."""
-        n = np.where(faces[:, :, None], self.normals, 0.0)
+    def tangential(self, vectors: Floats, faces: Bools, rows: Ints | slice = slice(None)) -> Floats:
+        """Part of vectors (n, 3) tangential to some of the faces (n, 3), at all points or rows."""
+        n = np.where(faces[:, :, None], self.normals[rows], 0.0)
         return vectors - np.einsum("pik,pkj,pj->pi", np.linalg.pinv(n), n, vectors)
 
 
@@ -143,21 +143,28 @@ class ContactState:
             n: Number of points.
             shapes: Shapes of the internal variables of the laws, by name.
         """
-        zero_vectors, zero_scalars = np.zeros((n, 3)), np.zeros(n)
+
+        def vectors() -> Floats:
+            """Return zeros of their own for each field: an in-place change is of one alone."""
+            return np.zeros((n, 3))
+
+        def scalars() -> Floats:
+            return np.zeros(n)
+
         return cls(
-            jump=zero_vectors,
-            jump_at_insertion=zero_vectors,
-            force=zero_vectors,
-            friction=zero_vectors,
-            gap_vector=zero_vectors,
-            slip=zero_vectors,
-            step_slip=zero_scalars,
-            path=zero_scalars,
-            stored=zero_scalars,
-            dissipation=zero_scalars,
-            smallest_dissipation=zero_scalars,
-            contact_work=zero_scalars,
-            work=zero_scalars,
+            jump=vectors(),
+            jump_at_insertion=vectors(),
+            force=vectors(),
+            friction=vectors(),
+            gap_vector=vectors(),
+            slip=vectors(),
+            step_slip=scalars(),
+            path=scalars(),
+            stored=scalars(),
+            dissipation=scalars(),
+            smallest_dissipation=scalars(),
+            contact_work=scalars(),
+            work=scalars(),
             internal_variables={name: np.zeros((n, *shape)) for name, shape in shapes.items()},
         )
 

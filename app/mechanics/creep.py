@@ -121,7 +121,7 @@ class CreepState:
         """Three times the shear modulus at the current cure (n,) [MPa]."""
         modulus = self._final_three_G.copy()
         for region, points in self.points_of_region.items():
-            growth = self._body_forms.growth.get(region)
+            growth = self._body_forms.modulus_ratio.get(region)
             if growth is not None:
                 cells = self._body_forms.region_cells(region)
                 vertices = growth.function_space.dofmap.list[cells]

@@ -126,9 +126,8 @@ class FiniteSliding:
         positions = self.positions_on_masters(jump)
         for i in self.followers.deformable:
             at_interface = self.interface_of_point == i
-            point_number = self._points.rows[
-                self.rows[at_interface]
-            ]  # in the order of the vertices
+            # Numbers of points are in the order of the vertices.
+            point_number = self._points.rows[self.rows[at_interface]]
             point_number, x = gathered_arrays(self._comm, point_number, positions[at_interface])
             self.followers.find_pairs(i, x[np.argsort(point_number)])
         return self.paired

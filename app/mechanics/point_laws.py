@@ -68,13 +68,13 @@ class PointLaws:
     """Laws of the interfaces at the contact points of this rank, during one run.
 
     Attributes:
-        law_can_open: True where the law can open (n,).
+        can_open: True where the law can open (n,).
         friction_coefficient: Friction coefficient (n,) [-]; 0 without friction.
-        law_has_friction: True where the friction coefficient is above 0 (n,).
-        law_is_contact: True where the law is contact, so that the slip follows from the jump; False
+        has_friction: True where the friction coefficient is above 0 (n,).
+        is_contact: True where the law is contact, so that the slip follows from the jump; False
             where the law returns the slip (n,).
-        law_has_contact: True where the law is contact, or has contact of the debonded area (n,).
-        law_dissipates: True where the law declares the energy that it dissipates (n,).
+        has_contact: True where the law is contact, or has contact of the debonded area (n,).
+        dissipates: True where the law declares the energy that it dissipates (n,).
         internal_variables: Shapes of the internal variables of the laws, by name.
         softest_stiffness: Stiffness k per area against the jump of each point, in its softest
             direction (n,) [MPa/mm].
@@ -123,17 +123,15 @@ class PointLaws:
             """Return a value of the law of each point (n,)."""
             return np.array([of_law(law) for law in laws])[points.interface]
 
-        self.law_can_open = at_points(lambda law: law.can_open)
+        self.can_open = at_points(lambda law: law.can_open)
         self.friction_coefficient = at_points(lambda law: law.largest_friction)
         for law, has_law in self._laws:
             if "μ" in (law.debonded_contact or law).constants:
                 self.friction_coefficient[has_law] = values["μ"][has_law]
-        self.law_has_friction = self.friction_coefficient > 0
-        self.law_is_contact = at_points(lambda law: law.is_contact)
-        self.law_has_contact = at_points(
-            lambda law: law.is_contact or law.debonded_contact is not None
-        )
-        self.law_dissipates = at_points(lambda law: law.dissipates)
+        self.has_friction = self.friction_coefficient > 0
+        self.is_contact = at_points(lambda law: law.is_contact)
+        self.has_contact = at_points(lambda law: law.is_contact or law.debonded_contact is not None)
+        self.dissipates = at_points(lambda law: law.dissipates)
 
         self._augmentation_scale = 1.0
         self._layer_stiffness = at_points(lambda law: min(law.layer or (np.inf,)))
@@ -212,7 +210,7 @@ class PointLaws:
         r_default is the augmentation without keys of the case, r_case is `unscaled_augmentation`.
         Remedies use the factor to leave an unsuitable key `augmentation` or `augmentation_factor`.
         """
-        is_augmented = self.law_has_contact
+        is_augmented = self.has_contact
         default_augmentation = np.minimum(
             DEFAULT_AUGMENTATION * self.softest_stiffness, self._layer_stiffness
         )[is_augmented]
@@ -300,7 +298,7 @@ class PointLaws:
             sticking_force = multiplier + r[:, None] * (jump + initial_gap - tangential_jump_old)
             stick_points(forces, points, switches.stuck, sticking_force)
         # Opened points keep tractions of laws other than contact.
-        opened = switches.opened & self.law_is_contact
+        opened = switches.opened & self.is_contact
         if opened.any():
             open_points(forces, opened)
         return forces
@@ -365,11 +363,10 @@ class PointLaws:
         forces.pressures[rows, : added.pressures.shape[1]] += added.pressures
         forces.status[rows] = added.status
         forces.debonded_friction_work[rows] = added.friction_work
-        motion = np.zeros_like(forces.force)
-        motion[rows] = contact_inputs["jump"] + contact_inputs["initial_gap"]
-        tangential_motion = points.tangential(motion, forces.pressures > 0)
-        closed = rows[added.status != OPEN]
-        outputs["slip"][closed] = tangential_motion[closed]
+        is_closed = added.status != OPEN
+        closed = rows[is_closed]
+        motion = (contact_inputs["jump"] + contact_inputs["initial_gap"])[is_closed]
+        outputs["slip"][closed] = points.tangential(motion, forces.pressures[closed] > 0, closed)
 
 
 def _compile_law(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:

@@ -63,13 +63,13 @@ class Problem:
         u: Displacement, the continuous field.
         jump_displacements: Displacement of each body that jumps move.
         followers: Nodes of surfaces with finite sliding, if there are any.
-        sliding: State of bodies with such surfaces.
+        sliding_bodies: State of bodies with such surfaces.
         time: Current time: stage k runs from k to k + 1.
         load_time: Time on the load histories at the current time.
         f: Forces on the unknowns of the displacement at that time [N].
         f_q: Forces on the jumps [N].
         prescribed: Values of constrained unknowns (n,).
-        load_size: Norm of the nodal forces of loads and free strains [N].
+        size_of_loads: Norm of the nodal forces of loads and free strains [N].
         size: Diagonal of the bounding box of the model [mm].
 
     Args:
@@ -81,7 +81,7 @@ class Problem:
         InputError: The scene does not fit the mesh.
     """
 
-    saved = ("time", "stiffness", "u", "body_forms", "contact", "stress_history", "sliding")
+    saved = ("time", "stiffness", "u", "body_forms", "contact", "stress_history", "sliding_bodies")
 
     def __init__(
         self,
@@ -118,10 +118,10 @@ class Problem:
             body: fem.Function(self.space, name=f"displacement {self.bodies.names[body]}")
             for body in (self.contact.coupling.jump_to_displacement if self.contact else ())
         }
-        self.sliding: SlidingBodies | None = None
+        self.sliding_bodies: SlidingBodies | None = None
         sliding_points = self.contact.finite_sliding if self.contact else None
         if self.contact and sliding_points:
-            self.sliding = SlidingBodies(
+            self.sliding_bodies = SlidingBodies(
                 self.body_forms,
                 self.stiffness,
                 self.contact,
@@ -147,8 +147,8 @@ class Problem:
             function.x.array[:] = 0
         if self.stress_history:
             self.stress_history.begin()
-        if self.sliding:
-            self.sliding.begin(scene)
+        if self.sliding_bodies:
+            self.sliding_bodies.begin(scene)
         if self.contact:
             self.contact.begin(scene, augmentation_factor)
         self.forces = Forces(scene, self.body_forms, self.contact, self.forces)
@@ -176,7 +176,7 @@ class Problem:
         # The matrices are those of the first stage.
         self.stiffness.stage = 0
         self.set_stage(stage, self.stiffness.K.createVecRight())
-        if self.body_forms.growth:
+        if self.body_forms.modulus_ratio:
             self._reassemble()
         self.follow_density()
         self.set_time(self.time)
@@ -184,15 +184,17 @@ class Problem:
     def restore_unknowns(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
         """Set the unknowns to the restored displacement and jumps; collective."""
         owned = 3 * self.space.dofmap.index_map.size_local
-        nodal = self.sliding.restore_pairs() if self.sliding else self.u.x.array[:owned]
+        nodal = (
+            self.sliding_bodies.restore_pairs() if self.sliding_bodies else self.u.x.array[:owned]
+        )
         self.stiffness.constraints.contract(nodal).copy(u)
         if self.contact:
             assert q is not None
             self.contact.commit(self.contact.state, self.time)
             q.array[:] = self.contact.state.jump.ravel()
         self.update_displacements(u, q)
-        if self.sliding and q is not None:
-            self.sliding.begin_at(self.trial(u, q))
+        if self.sliding_bodies and q is not None:
+            self.sliding_bodies.begin_at(self.trial(u, q))
         if self.stress_history:
             self.stress_history.begin_at(self.displacements())
 
@@ -218,15 +220,15 @@ class Problem:
             self.followers.set_time(self.load_time)
         if self.contact:
             self.contact.set_time(self.load_time)
-        if self.sliding:
-            self.sliding.follow_pairs()
+        if self.sliding_bodies:
+            self.sliding_bodies.follow_pairs()
         self._set_forces(self.load_time)
 
     def _set_forces(self, load_time: float) -> None:
         total = self.forces.total_at(load_time)
         nodal = PETSc.Vec().createWithArray(total.nodal, comm=self.comm)
         self.f, self.f_q = self.stiffness.constraints.vector(nodal), total.jump
-        self.load_size = float(self.f.norm())
+        self.size_of_loads = float(self.f.norm())
         amplitudes = [amplitude(s.history, load_time) for s in self.scene.supports]
         self.prescribed = self.stiffness.prescribed(self.f, amplitudes)
         self.body_forms.set_amplitudes(
@@ -309,35 +311,35 @@ class Problem:
 
     def update_pairs(self, u: PETSc.Vec, q: PETSc.Vec | None) -> bool:
         """As `SlidingBodies.update_pairs`; False without finite sliding; collective."""
-        if q is None or self.sliding is None:
+        if q is None or self.sliding_bodies is None:
             return False
         trial = self.trial(u, q)
         self.update_displacements(u, q)
-        paired = self.sliding.update_pairs(trial, u, q)
+        paired = self.sliding_bodies.update_pairs(trial, u, q)
         if paired:
             self._set_forces(self.load_time)
         return paired
 
-    def force_scale(self, u: PETSc.Vec, q: PETSc.Vec | None) -> float:
-        """Size of the forces in a state: loads, reactions and interface forces [N].
+    def size_of_forces(self, u: PETSc.Vec, q: PETSc.Vec | None) -> float:
+        """Size of all forces in a state: loads, interface forces and reactions [N]; collective.
 
         The forces that a change of the prescribed displacements alone would cause are no scale: on
         a fine mesh they exceed all others by far.
         """
         reactions = self.stiffness.reactions * u
         if self.contact is None:
-            return self.load_size + float(reactions.norm())
+            return self.size_of_loads + float(reactions.norm())
         forces_of_jumps = self.contact.coupling.C * q
         reactions.array[:] += forces_of_jumps.array_r[self.stiffness.constraints.constrained]
         e = self.contact.coupling.equilibrium(u, q, self.f_q)
-        return self.interface_scale(e) + float(reactions.norm())
+        return self.size_of_loads_and_interface_forces(e) + float(reactions.norm())
 
-    def interface_scale(self, e: Floats) -> float:
+    def size_of_loads_and_interface_forces(self, e: Floats) -> float:
         """Size of loads and interface forces, from equilibrium e (n, 3) [N]; collective."""
         assert self.contact is not None
         forces = self.contact.local.project_free(e), self.f_q
         local_squares = np.array([float(np.sum(force**2)) for force in forces])
-        return self.load_size + float(np.sqrt(self.comm.allreduce(local_squares)).sum())
+        return self.size_of_loads + float(np.sqrt(self.comm.allreduce(local_squares)).sum())
 
     def rounding(self, u: PETSc.Vec, q: PETSc.Vec | None = None) -> float:
         """Residual that rounding alone causes [N]; large for a stiff body that moves."""
@@ -369,10 +371,13 @@ class Problem:
         if self.contact is None:
             return 0.0
         work = self.contact.state.work
-        if self.sliding is None:
+        if self.sliding_bodies is None:
             return float(work.sum())
         assert self.contact.finite_sliding
-        return float(np.delete(work, self.contact.finite_sliding.rows).sum()) + self.sliding.work
+        return (
+            float(np.delete(work, self.contact.finite_sliding.rows).sum())
+            + self.sliding_bodies.work
+        )
 
     def displacements(self) -> list[fem.Function]:
         """Displacement of each body, as last updated."""
@@ -401,7 +406,7 @@ class Problem:
         """Commit a converged state, after `update_displacements`."""
         if trial is not None:
             trial.contact.commit(trial.committed(), self.time)
-            if self.sliding:
-                self.sliding.commit(trial)
+            if self.sliding_bodies:
+                self.sliding_bodies.commit(trial)
         if self.stress_history:
             self.stress_history.commit(self.displacements())

@@ -87,7 +87,7 @@ class StressHistory:
         self._initial_stress = fem.Function(space) if scene.creeps else self.stress_at_points
         self._committed_displacements = {b: fem.Function(body_forms.space) for b in self.bodies}
         self._displacement_steps = {b: fem.Function(body_forms.space) for b in self.bodies}
-        with_free_strain = {*body_forms.growth, *body_forms.free_strain}
+        with_free_strain = {*body_forms.modulus_ratio, *body_forms.free_strain}
         self._free_strain_step = {
             r: fem.Function(body_forms.scalars) for r in regions if r in with_free_strain
         }
@@ -105,7 +105,7 @@ class StressHistory:
         self._state_at_rest = self.state()
 
     def _set_up_cure(self) -> None:
-        """Set growth of the moduli and free strain of the uncured state; collective.
+        """Set the moduli over the final ones and the free strain of the uncured state; collective.
 
         Both are at the vertices [-]: of the last converged state, and at the end of the step.
         """
@@ -120,8 +120,8 @@ class StressHistory:
             r: (np.ones(nodes), np.zeros(nodes)) for r in self._free_strain_step
         }
         for c in cures:
-            growth = self._modulus_laws[c.region](a=np.full(nodes, c.initial))[0]
-            self._committed_cure[c.region] = growth, np.zeros(nodes)
+            modulus_ratio = self._modulus_laws[c.region](a=np.full(nodes, c.initial))[0]
+            self._committed_cure[c.region] = modulus_ratio, np.zeros(nodes)
         self._next_cure = dict(self._committed_cure)
         self.update_moduli()
 
@@ -135,7 +135,7 @@ class StressHistory:
         """Stress of a strain, with the step's free strain added or subtracted."""
         if e.region in self._free_strain_step:
             ε = ε + sign * elasticity.isotropic_strain(self._free_strain_step[e.region])
-        return self._body_forms.growth.get(e.region, 1) * elasticity.stress(
+        return self._body_forms.modulus_ratio.get(e.region, 1) * elasticity.stress(
             lambda x: self._body_forms.energy_density(e, x), ε
         )
 
@@ -160,7 +160,7 @@ class StressHistory:
         body_forms, σ = self._body_forms, elasticity.symmetric(list(self.stress_at_points))
         return sum(
             ufl.inner(σ, σ)
-            / (2 * body_forms.growth.get(e.region, 1) * body_forms.constant(max(e.moduli)))
+            / (2 * body_forms.modulus_ratio.get(e.region, 1) * body_forms.constant(max(e.moduli)))
             * dx
             for b in self.bodies
             for e, dx in self._regions_of_body(b)
@@ -182,8 +182,8 @@ class StressHistory:
             strains: Free strain since gelation at the vertices of each curing region [-].
         """
         self._next_cure |= {
-            r: (growth(a=degrees[r].x.array)[0], strains[r].x.array.copy())
-            for r, growth in self._modulus_laws.items()
+            r: (law(a=degrees[r].x.array)[0], strains[r].x.array.copy())
+            for r, law in self._modulus_laws.items()
         }
 
     def set_free_strain(self, strains: Mapping[str, fem.Function]) -> None:
@@ -195,10 +195,10 @@ class StressHistory:
     def update_moduli(self) -> bool:
         """Set the step's mean modulus and free strain; whether a modulus changed; collective."""
         change = 0.0
-        for r, rise in self._free_strain_step.items():
+        for r, strain in self._free_strain_step.items():
             (g0, e0), (g1, e1) = self._committed_cure[r], self._next_cure[r]
-            rise.x.array[:] = e1 - e0
-            function = self._body_forms.growth.get(r)
+            strain.x.array[:] = e1 - e0
+            function = self._body_forms.modulus_ratio.get(r)
             if function is not None:
                 mean = (g0 + g1) / 2
                 change = max(change, float(np.abs(mean - function.x.array).max(initial=0.0)))
@@ -289,7 +289,10 @@ class StressHistory:
         self._initial_stress.x.array.reshape(-1, 6)[self.creep.rows] -= relaxed_stress
 
     def begin(self) -> None:
-        """Reset to the unloaded, uncured state."""
+        """Reset to the unloaded state without free strain.
+
+        Moduli stay: a model that cures is not used for another run.
+        """
         self._committed_cure = {
             r: (g, np.zeros_like(e)) for r, (g, e) in self._committed_cure.items()
         }

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from mpi4py import MPI
@@ -21,15 +23,13 @@ from app.numerics.choice import SolverChoice
 from app.numerics.deflation import CoarseSpace
 from app.numerics.preconditioners import SWEEP, Options, stiffness_options
 from app.numerics.sparse import block_diagonal, fill_blocks, renew
-from app.numerics.system import Measure, System, block_norm
+from app.numerics.system import SPRING_STIFFNESS, Measure, System, block_norm
 
 if TYPE_CHECKING:
     from app.numerics.condensed import Condensed
 
 log = logging.getLogger("mantle")
 
-# Stiffness of weak springs between bodies that nothing holds, as a fraction of the diagonal of D.
-SPRING_STIFFNESS = 1e-2
 # Motions that nothing resists are rounding below this fraction of the jumps of a step.
 MOTION_ROUNDING = 1e-12
 # Forces are in balance if their work in motions of unit size is below this fraction of their size.
@@ -56,7 +56,7 @@ class BondedSystem(System):
 
     prefix = "mantle_"
     # The equations are linear: one linear solve, to the limit of the solver.
-    newton: Options = {"ksp_rtol": 1e-14}  # noqa: RUF012
+    newton: Mapping[str, str | float] = MappingProxyType({"ksp_rtol": 1e-14})
 
     def __init__(self, problem: Problem) -> None:
         self._problem, self.comm = problem, problem.comm
@@ -93,7 +93,7 @@ class BondedSystem(System):
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Out-of-balance forces, with their scale [N]."""
         problem, (u, *q) = self._problem, x
-        scale = problem.force_scale(u, q[0] if q else None)
+        scale = problem.size_of_forces(u, q[0] if q else None)
         return [Measure(block_norm(f), scale, problem.rounding(u, *q))]
 
 
@@ -116,7 +116,7 @@ class ContactSystem(BondedSystem):
     trial: TrialState
     factors: tuple[Floats, Floats]
     law_forces: PointForces
-    newton: Options = {}  # noqa: RUF012
+    newton: Mapping[str, str | float] = MappingProxyType({})
 
     def __init__(self, problem: Problem, solves: float = 0.0, memory: float = math.inf) -> None:
         super().__init__(problem)
@@ -217,7 +217,10 @@ class ContactSystem(BondedSystem):
             return False
         forces = self._problem.f_q.reshape(-1, 3) - contact.local.weight[:, None] * law.force
         work = self._work(motions, forces)
-        return bool(np.abs(work).max() > UNBALANCED_WORK * self._problem.interface_scale(forces))
+        return bool(
+            np.abs(work).max()
+            > UNBALANCED_WORK * self._problem.size_of_loads_and_interface_forces(forces)
+        )
 
     def _work(self, motions: Floats, forces: Floats) -> Floats:
         """Work of the loads, and of forces on jumps (n, 3) [N], in motions (k,); collective.
@@ -282,7 +285,7 @@ class ContactSystem(BondedSystem):
         residual = x[0].duplicate()
         self._problem.residual(x[0], x[1], residual)
         e = self.contact.coupling.equilibrium(x[0], x[1], self._problem.f_q)
-        return residual.array, e.ravel(), self._problem.interface_scale(e)
+        return residual.array, e.ravel(), self._problem.size_of_loads_and_interface_forces(e)
 
     def law(self, e: Floats, q: Floats) -> tuple[Floats, float]:
         """Residual of the law at equilibrium e and jumps q, and size of the forces [N]."""
@@ -290,7 +293,7 @@ class ContactSystem(BondedSystem):
         law = contact.evaluate(e, q)
         self.factors, self.law_forces = contact.row_factors(law), law
         r = self._without_uncertain_loads(contact.residual(e, q, law), e, law)
-        return r, self._problem.interface_scale(e)
+        return r, self._problem.size_of_loads_and_interface_forces(e)
 
     @property
     def law_status(self) -> Ints:
@@ -301,7 +304,7 @@ class ContactSystem(BondedSystem):
         """Jumps of rigid motions that nothing resists at the last state (n, 3, k); collective."""
         return self.contact.motions.relative(self.contact.unresisted_motions(self.law_forces))
 
-    def settle(self, x: list[PETSc.Vec]) -> bool:
+    def remove_free_motions(self, x: list[PETSc.Vec]) -> bool:
         """Remove rigid motions that nothing resists from the last step of a state; collective.
 
         The jumps since the last converged state are then orthogonal to such motions, by area.

@@ -114,7 +114,7 @@ class Cholesky:
     other.
 
     Attributes:
-        operations, entries: Floating-point operations of the factorization, entries of the factors.
+        entries: Entries of the factors.
 
     Args:
         rows: A and E side by side (n, n + m), A symmetric positive definite, n and m multiples of
@@ -141,8 +141,6 @@ class Cholesky:
         # Nothing that refers to this object: in a circle the factors would never be freed.
         self._L = self._ffi.gc(L, partial(_free_factors, self._ffi, self._lib, common))
         del referenced
-        last_size = self._empty_columns + self._kept
-        self.operations = float(common.fl) - last_size**3 / 3
         self.entries = float(common.lnz)
         last_starts = (self._array("int64_t", p, L.nsuper + 1) for p in (L.super, L.px))
         (last_supernode, block_start) = (int(v[-2]) for v in last_starts)

@@ -51,7 +51,7 @@ from app.numerics.paired_compliance import PairedCompliance
 from app.numerics.root_work import blas_threads, usable_cores, wait
 from app.numerics.sparse import owned_rows
 from app.numerics.substructures import Substructures, unknowns_of
-from app.numerics.system import MatrixFree, Measure, Reduced
+from app.numerics.system import SPRING_STIFFNESS, MatrixFree, Measure, Reduced
 
 # Singular values of T below this are zero, and so are parts of a row of B across its direction,
 # relative to the row [-].
@@ -62,8 +62,6 @@ SINGLE_TOLERANCE = 1e-2
 DOUBLE_TOLERANCE = 1e-4
 # The factors are kept for the next step if the residual has fallen to this fraction of itself.
 REUSE_RATIO = 1e-2
-# Stiffness of the weak springs of a singular step, as a fraction of the diagonal of S.
-SPRING_STIFFNESS = 1e-2
 # Fraction of the tolerance that out-of-balance forces of a start may have without being removed.
 NEGLIGIBLE_IMBALANCE = 0.01
 

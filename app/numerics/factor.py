@@ -22,10 +22,9 @@ class Factor(Protocol):
     are a node.
 
     Attributes:
-        operations, entries: Floating-point operations of the factorization, entries of the factors.
+        entries: Entries of the factors.
     """
 
-    operations: float
     entries: float
 
     def __init__(self, rows: csr_array) -> None: ...

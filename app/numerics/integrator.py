@@ -26,7 +26,7 @@ _AIM = 0.9
 _MAX_GROWTH = 3.0
 _MIN_GROWTH = 0.2
 # Relative difference up to which times count as equal.
-_SAME_TIME = 1e-9
+SAME_TIME = 1e-9
 # Relative difference up to which steps count as equal.
 _SAME_STEP = 1e-6
 
@@ -163,12 +163,12 @@ class Controller:
     def propose(self, seconds: float) -> float:
         """Step to try at a time [s]: it ends at the next event or well before it."""
         dt = self.next_step
-        until_events = [e - seconds for e in self.events if e - seconds > _SAME_TIME * e]
+        until_events = [e - seconds for e in self.events if e - seconds > SAME_TIME * e]
         if not until_events or dt < until_events[0] / 2:
             return dt
         return until_events[0] if dt >= until_events[0] * (1 - _SAME_STEP) else until_events[0] / 2
 
-    def accepts(self, dt: float, ratio: float) -> bool:
+    def judge(self, dt: float, ratio: float) -> bool:
         """Return True if a step is accepted, by its error over the tolerance; choose the next."""
         ratio = max(ratio, 1e-10)
         factor = _AIM * ratio**-self._power

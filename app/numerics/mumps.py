@@ -26,7 +26,6 @@ EXTRA_SPACE = 50
 SYSTEM_CONTROL = 26  # system that is solved
 WITHOUT_SCHUR = 0  # A alone
 # Numbers of its results.
-OPERATIONS = 1  # of the elimination
 ENTRIES = 20  # of the factors; in millions if negative
 ERROR_RESULT = 1
 NEGATIVE_PIVOTS = 12  # number of negative pivots
@@ -58,7 +57,7 @@ class Mumps:
 
     def __init__(self, rows: csr_array) -> None:
         self._eliminated, self._kept = rows.shape[0], rows.shape[1] - rows.shape[0]
-        self.operations = self.entries = 0.0
+        self.entries = 0.0
         if not self._eliminated:  # MUMPS refuses this
             return
         A = self._matrix(rows)
@@ -73,9 +72,6 @@ class Mumps:
         _call("MatFactorInfoInitialize", self._info)
         _call("MatCholeskyFactorSymbolic", F, _pointer(A.handle), None, self._info)
         self._check()
-        operations = ctypes.c_double()
-        _call("MatMumpsGetRinfog", F, OPERATIONS, ctypes.byref(operations))
-        self.operations = operations.value
         entries = self._result(ENTRIES)
         self.entries = float(entries if entries >= 0 else -1_000_000 * entries)
 

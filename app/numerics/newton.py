@@ -73,7 +73,7 @@ STALLED_BACKTRACKS = 4
 STALLED_FULL_STEPS = 15
 # Residuals that differ by less than this part after a cycle of the states repeat.
 SAME_RESIDUAL = 1e-2
-# Iterations whose states are kept.
+# Iterates whose states are kept, besides the last one.
 KEPT_ITERATES = 12
 # The longest cycle that is recognized.
 LONGEST_CYCLE = 5
@@ -153,7 +153,8 @@ class NewtonResult:
         residuals: Residual norm at each iteration, relative to the force scale.
         changes: Number of contact points that changed state, at each iteration.
         linear_failed: True if the linear solver failed.
-        augmentation: Final multiple of the case's augmentation.
+        augmentation: Factor on `PointLaws.unscaled_augmentation`, that of the case, with which the
+            state was solved.
         tried: Remedies in the order tried, each with its last residual; infinite if it converged.
         period: Length of the cycle in which contact states repeat at the end; 0 without.
     """
@@ -183,7 +184,8 @@ class Solver:
         changes: Number of contact points that changed state, at each iterate.
         scales: Scales of the residuals of the last converged state, by part.
         tolerance: Residual over scale at which a run has converged.
-        augmentation: Multiple of the case's augmentation at the start of the next solve.
+        augmentation: The same factor at the start of the next solve: that of the last remedy by
+            augmentation, and 1 after a solve that failed.
         timing: Seconds by phase.
         stop: Returns the name of a pending stop signal, or "".
         reduced: Solver of the system in which linear unknowns are eliminated, if there is one.
@@ -209,7 +211,7 @@ class Solver:
         self.timing, self.stop = timing, stop
         self._block_templates = system.blocks()
         self.linear = Linear(system, linear, options, timing)
-        defaults = NEWTON | {"snes_max_it": max_iterations} | system.newton
+        defaults = NEWTON | {"snes_max_it": max_iterations} | {**system.newton}
         self.options = defaults | self.linear.options | options
         self._line_search = self.usual_search
         self.x, self.failed_state, self.first_state = (self.vector() for _ in range(3))
@@ -386,7 +388,7 @@ class Solver:
     def _update(self, snes: PETSc.SNES, iteration: int) -> None:
         # A singular step may move free bodies far away, where rounding errors hide other forces.
         if iteration:
-            self.system.settle(self.blocks(snes.getSolution()))
+            self.system.remove_free_motions(self.blocks(snes.getSolution()))
 
     def _monitor(self, snes: PETSc.SNES, iteration: int, norm: float) -> None:
         # Every rank sees the same signal, so that none is left waiting for the others.

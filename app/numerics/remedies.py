@@ -39,7 +39,7 @@ def solve(solver: Solver) -> NewtonResult:
     """Solve a system at its current time from the solver's current state; collective.
 
     If an error or a signal interrupts a remedy, line search, laws and augmentation are those of
-    before.
+    before. Contact blocks that a remedy has factorized stay so until a solve converges.
     """
     contact, augmentation = solver.system.contact, solver.augmentation
     try:
@@ -84,7 +84,7 @@ def _solve_with_remedies(solver: Solver) -> NewtonResult:
     ):
         augmentation, iterations = _refine(solver, contact)
         runs.append(iterations)
-    if solver.converged and solver.system.settle(solver.blocks()):
+    if solver.converged and solver.system.remove_free_motions(solver.blocks()):
         runs.append(solver.run())
     if solver.converged:
         solver.linear.sweep_interfaces()
@@ -113,7 +113,8 @@ def _solve_with_remedies(solver: Solver) -> NewtonResult:
 def _refine(solver: Solver, contact: SolvedContact) -> tuple[float, tuple[int, int]]:
     """Solve again with the default augmentation.
 
-    A residual f leaves errors f / r in gaps and slips, which are large where r is small.
+    A residual f leaves errors f / r in gaps and slips, which are large where r is small. Only the
+    laws get the default: the next solve begins again with `Solver.augmentation`, which stays.
 
     Returns:
         The augmentation of the solution; Newton and Krylov iterations.

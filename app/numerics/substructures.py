@@ -37,7 +37,6 @@ class Substructures:
     """Factors of the interiors on their ranks, and of the shared nodes on rank 0.
 
     Attributes:
-        operations: Floating-point operations of the factors on the rank that has the most.
         factor_entries: Entries of the factors of all ranks.
 
     Args:
@@ -153,8 +152,6 @@ class Substructures:
         assert factor_type is not None
         self._factor = factor_type(self._interior_matrix)
         s, last_unknowns = self._shared_unknowns, self._border_size - self._shared_unknowns
-        of_shared = s**3 / 3 + s**2 * last_unknowns + s * last_unknowns**2
-        self.operations = of_shared + self.comm.allreduce(self._factor.operations, MPI.MAX)
         self.factor_entries = self.comm.allreduce(self._factor.entries) + s * (
             s / 2 + last_unknowns
         )

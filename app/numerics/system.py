@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Protocol
 
 from mpi4py import MPI
@@ -21,6 +22,10 @@ from app.foundation.arrays import Ints
 from app.numerics.deflation import CoarseSpace
 from app.numerics.lifetime import Preconditioner
 from app.numerics.preconditioners import Inverse, Options
+
+# Stiffness of weak springs where nothing holds a body, as a fraction of the diagonal of the matrix
+# of the jumps.
+SPRING_STIFFNESS = 1e-2
 
 
 @dataclass(frozen=True)
@@ -111,9 +116,9 @@ class System(Protocol):
     comm: MPI.Comm
     prefix: str
     # PETSc options of its Newton iteration that differ from the solver's.
-    newton: Options = {}  # noqa: RUF012
+    newton: Mapping[str, str | float] = MappingProxyType({})
     # Shared inverses of diagonal blocks, by block.
-    inverses: Mapping[str, Inverse] = {}
+    inverses: Mapping[str, Inverse] = MappingProxyType({})
     contact: SolvedContact | None = None
     # Newton iterations that are taken from a state that is in balance, if its residual is not zero.
     min_iterations: int = 0
@@ -153,7 +158,7 @@ class System(Protocol):
         """Return True if a state is far outside small displacements; collective."""
         return False
 
-    def settle(self, x: list[PETSc.Vec]) -> bool:
+    def remove_free_motions(self, x: list[PETSc.Vec]) -> bool:
         """Remove rigid motions that nothing resists from the last step; True if the state changes.
 
         Collective.

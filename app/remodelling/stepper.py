@@ -170,7 +170,7 @@ class Remodeller:
         """Return the next step."""
         return self.progress.next(1.0 / self._stage.increments)
 
-    def accepts(self, step: Step, error: float) -> bool:
+    def judge(self, step: Step, error: float) -> bool:
         """Accept a step within its tolerance, and choose the next one."""
         progress, factor = self.progress, GROWTH.factor(error)
         if error > 1.0:

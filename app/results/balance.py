@@ -282,7 +282,7 @@ class Balance:
         )
         self.energy_scale = max(self.energy_scale, *map(abs, sizes))
         self.energy = _relative(self.external_work - sum(used_work), self.energy_scale)
-        self._forces(current, max(problem.force_scale(u, q), rounding))
+        self._forces(current, max(problem.size_of_forces(u, q), rounding))
 
     def _forces(self, current: _State, scale: float) -> None:
         problem, comm = self._problem, self._problem.comm

@@ -31,11 +31,11 @@ def zone(x: Floats, w: Floats, area: Floats) -> float:
         area: Areas of the triangles (f,) [mm2].
     """
     field = SurfaceField(w, area, x)
-    zone = field.area_above(0.0) - field.area_above(BROKEN)
-    if not w.max(initial=0.0) or zone <= 0:
+    zone_area = field.area_above(0.0) - field.area_above(BROKEN)
+    if not w.max(initial=0.0) or zone_area <= 0:
         return 0.0
     edges, edge_changes = x[:, 1:] - x[:, :1], w[:, 1:] - w[:, :1]
     metric = np.einsum("fai,fbi->fab", edges, edges)
     square = np.einsum("fa,fab,fb->f", edge_changes, np.linalg.inv(metric), edge_changes)
-    slope = float(area @ np.sqrt(np.maximum(square, 0.0))) / (zone * w.max())
+    slope = float(area @ np.sqrt(np.maximum(square, 0.0))) / (zone_area * w.max())
     return 1 / max(slope, 1 / float(np.linalg.norm(np.ptp(x.reshape(-1, 3), axis=0))))

@@ -4,32 +4,22 @@ A number X of a run on a mesh of size h has the estimated error
 
 .. math:: e = \max(e_1,\; b\, m\, |X_h|), \qquad e_1 = a\, |X_h - X_{2h}| + |C| / n,
 
-where :math:`X_{2h}` is the number of a companion on a mesh of size 2 h, and C / n the error of n
-steps, see below. The median m of :math:`e_1 / (a |X_h|)` is taken over the numbers of a group
-(`ErrorClass.median_group`). The term with m is needed because two meshes may agree by chance.
-Numbers of parts (rim, tip, neck, surface zones, Gruen zones) change more from mesh to mesh than
-those of whole interfaces: they use a separate median and a separate factor b. For a Gruen zone,
-:math:`|X_h|` is at least a quarter of the mean over all zones. For temperatures b is zero. If there
-is a companion of size 3 h, their error is the larger of its scaled change and
-:math:`|X_h - X_{2h}|`, each times its factor (`ErrorClass.two_mesh_factors`).
+where :math:`X_{2h}` is the number of a companion on a mesh of size 2 h, C / n the error of n steps,
+and m the median of :math:`e_1 / (a |X_h|)` over a group of numbers. The term with m is needed
+because two meshes may agree by chance.
 
 The factors a and b of each class are in `case.error_classes`. They were fitted to six hips and to
-scenes with heat, and tested on other cases (docs/verification.md). Slips and tractions of press
-fits have larger errors, and at first order motions and stresses too; their factors were fitted to
-three such hips. A number outside these classes has the factor a of Richardson's extrapolation,
-:math:`1 / (2^p - 1)` with its order of convergence p, and no b. With that factor the true error
-exceeds the estimate more often, because contact begins and ends inside cells. The change to a
-companion of another mesh size is scaled to 2 h by the order of convergence of the class.
+scenes with heat, and tested on other cases (docs/verification.md).
 
-Numbers that are zero do not enter medians. A number is zero if it is rounding compared with the
-largest number of its unit. It is also zero if it is small compared with that number and changes by
-at least its size.
+Each part of the estimate, with its exceptions, is in the docstring of its function:
 
-With friction or damage the solution depends on the load path. The error of n load steps is then
-taken as C / n, as for an implicit Euler method. The companion of 2 h takes half the steps, which is
-cheaper. One companion of 3 h takes half the steps, another one all steps, and their difference
-gives C. If the run takes one step, they take one and two. In transient stages, half the steps means
-a tolerance for which the error of the time steps is twice as large.
+- meshes and steps of the companions: `companions`;
+- C / n: `_error`;
+- the change to a mesh that is not of size 2 h, and to two meshes; a without a class: `_mesh_error`;
+- the groups of the median, and b: `_raise_to_typical_errors`;
+- numbers that are zero, which do not enter medians: `is_zero`;
+- Gruen zones: `_size_in_zones`;
+- press fits: `add_error_estimates`.
 """
 
 from __future__ import annotations
@@ -178,6 +168,11 @@ def companions(case: Case) -> tuple[Companion, ...]:
 
     A mesh from a file cannot be made coarser, unless a ``.geo`` script makes it: only its step
     error is estimated.
+
+    With friction or damage the solution depends on the load path. The companion of 2 h then takes
+    half the steps, which is cheaper. One companion of 3 h takes half the steps, another one all
+    steps. If the run takes one step, they take one and two. In transient stages, half the steps
+    means a tolerance for which the error of the time steps is twice as large.
     """
     if not case.output.error:
         return ()
@@ -230,6 +225,9 @@ def error_sources(solved: Sequence[Companion]) -> str:
 
 def add_error_estimates(run: Summary, case: Case, solved: Solved) -> dict[str, list[list[float]]]:
     """Add ``X_error`` next to each number X that has an order of convergence.
+
+    In press fits slips and tractions have larger errors, and at first order motions and stresses
+    too: errors get further factors, which were fitted to three such hips.
 
     Args:
         run: Sections interfaces, regions and stem of the run's summary, and thermal and cure where
@@ -351,6 +349,10 @@ def _unsettled_change(
 
 def _raise_to_typical_errors(estimated_numbers: Sequence[Estimated], degree_index: int) -> None:
     """Raise errors that are small by chance to b m |X|, with the median m of their group.
+
+    Numbers of parts (rim, tip, neck, surface zones, Gruen zones) change more from mesh to mesh than
+    those of whole interfaces: they have a separate median and a separate factor b. The groups of
+    classes are `ErrorClass.median_group`. For temperatures b is zero.
 
     Args:
         estimated_numbers: The errors.
@@ -502,7 +504,11 @@ def _values_on_meshes(
 def _error(
     key: str, error_class: ErrorClass, degree_index: int, run: Numbers, companion_numbers: Others
 ) -> ErrorValue | None:
-    """Error of one number or vector by the equations above; None if it is unknown."""
+    """Error of one number or vector by the equations above; None if it is unknown.
+
+    The error of n load steps is taken as C / n, as for an implicit Euler method. Two companions on
+    one mesh with different numbers of steps give C.
+    """
     of_run = _Solution(1.0, 1.0, np.asarray(run[key]))
     of_companions = [
         _Solution(companion.coarsening, companion.step_ratio, np.asarray(numbers[key]))
@@ -544,6 +550,13 @@ def _mesh_error(
     degree_index: int,
 ) -> Floats:
     """Error of the mesh.
+
+    The change to a companion of another mesh size is scaled to 2 h by the order of convergence. A
+    class with `ErrorClass.two_mesh_factors`, that of temperatures, has the larger of the scaled
+    change to 3 h and the change to 2 h, each times its factor, if there are both companions. A
+    number outside the fitted classes has the factor of Richardson's extrapolation,
+    :math:`1 / (2^p - 1)` with the order p. The true error then exceeds the estimate more often,
+    because contact begins and ends inside cells.
 
     Args:
         of_run: The number of the run.

@@ -7,6 +7,7 @@ and an open one may conduct it. The grid separates the bodies of both.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -145,7 +146,35 @@ class Fields:
 WRITTEN_DOSES = ("seconds_over_47", "cem43", "henriques_moritz")
 
 
-class HeatFields:
+class FieldGroup(ABC):
+    """The fields of one physics of a run.
+
+    Attributes:
+        bodies: Bodies between which its fields may jump.
+        space: Space of its nodal fields.
+    """
+
+    bodies: Bodies
+    space: fem.FunctionSpace
+
+    @abstractmethod
+    def at_nodes(
+        self, nodes: OutputNodes, samples: ContactSamples | None, cells: int
+    ) -> dict[str, Floats]:
+        """Return the fields on nodes by name; collective."""
+
+    def of_cells(self, cells: int) -> dict[str, Floats]:
+        """Return the fields on cells (cells,) by name: by default none."""
+        return {}
+
+    def values(
+        self, nodes: OutputNodes, samples: ContactSamples | None, cells: int
+    ) -> tuple[dict[str, Floats], dict[str, Floats]]:
+        """Return the fields on nodes and on cells; collective."""
+        return self.at_nodes(nodes, samples, cells), self.of_cells(cells)
+
+
+class HeatFields(FieldGroup):
     """Temperature, heat doses, cure, and heat through interfaces of finite conductance."""
 
     def __init__(self, heating: HeatState, record: ThermalRecord, interfaces: Interfaces) -> None:
@@ -154,16 +183,6 @@ class HeatFields:
         self.bodies, self.space = self._operators.bodies, self._operators.forms.space
         # At the nodes of this rank, ghosts included.
         self._work = fem.Function(self.space)
-
-    def values(
-        self, nodes: OutputNodes, samples: ContactSamples | None, cells: int
-    ) -> tuple[dict[str, Floats], dict[str, Floats]]:
-        """Return the fields on nodes; there are none on cells. Collective."""
-        return self.at_nodes(nodes, samples, cells), {}
-
-    def of_cells(self, cells: int) -> dict[str, Floats]:
-        """Return an empty mapping: heat has no fields on cells."""
-        return {}
 
     def at_nodes(
         self, nodes: OutputNodes, samples: ContactSamples | None, cells: int
@@ -224,7 +243,7 @@ class HeatFields:
     def _values_on_nodes(
         self, nodes: OutputNodes, values: Sequence[Floats], body_of_node: Ints
     ) -> Floats:
-        """Return values at nodes (n,) from the body ``which`` (n,) of each; linear along edges."""
+        """Return values at nodes (n,), each from its body (n,); linear along edges."""
         table = np.stack(values)
         dofs = self.space.dofmap.list[nodes.cell[:, None]][:, 0]
         end_dofs = np.take_along_axis(dofs, nodes.ends, axis=1)
@@ -234,7 +253,7 @@ class HeatFields:
 # Of the mechanics
 
 
-class MechanicalFields:
+class MechanicalFields(FieldGroup):
     """Fields of mechanics: displacement, stress, and quantities of the interfaces."""
 
     def __init__(
@@ -460,7 +479,3 @@ def _interface(interface: Interface, s: ContactSamples, rows: Ints) -> dict[str,
         f"{interface.name}_{key}": _values_on_rows(rows, values) for key, values in fields.items()
     }
     return named_fields | {f"{interface.name}_status": status}
-
-
-# The output of one physics of a run.
-FieldGroup = HeatFields | MechanicalFields

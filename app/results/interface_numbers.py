@@ -43,7 +43,7 @@ MICROMOTION = 0.030
 INGROWTH = {"40um": 0.040, "150um": 0.150}
 # A point at its friction limit sticks if it slides less than this fraction of the longest path of
 # sliding in a step [-]. So rounding does not decide while loads are constant.
-AT_REST = 1e-9
+RESTING_SLIP = 1e-9
 # A face is closed if its opening is below this fraction of the force over the augmentation [-].
 CLOSED = 1e-6
 # The effect of facets on pressures is reported above this fraction of the largest pressure [-].
@@ -73,7 +73,7 @@ def least_friction(trial: TrialState) -> tuple[Floats, Floats]:
     rounding = CLOSED * np.linalg.norm(law.force, axis=1) / contact.laws.augmentation
     is_closed = np.where(is_face, np.abs(opening) <= rounding[:, None], True).all(axis=1)
     has_edge = (contact.local.faces > 1) & (law.status == STICK)
-    rows = np.flatnonzero(has_edge & contact.laws.law_has_contact & is_closed)
+    rows = np.flatnonzero(has_edge & contact.laws.has_contact & is_closed)
     on_faces = -np.einsum("pki,pi->pk", dual_vectors(normals[rows]), law.force[rows])
     pressed = (on_faces >= 0).all(axis=1)
     rows, on_faces = rows[pressed], on_faces[pressed]
@@ -101,7 +101,7 @@ def status_at_rest(trial: TrialState) -> Ints:
     """
     contact, state = trial.contact, trial.contact.state
     longest_path = contact.gather(state.path).max(initial=0.0)
-    is_resting = contact.laws.law_has_friction & (state.step_slip <= AT_REST * longest_path)
+    is_resting = contact.laws.has_friction & (state.step_slip <= RESTING_SLIP * longest_path)
     is_held = (contact.local.faces == 0) | (is_resting & (trial.forces.status == SLIP))
     return np.where(is_held, STICK, trial.forces.status)
 
@@ -318,8 +318,8 @@ def _numbers(s: ContactSamples, i: int, selected: set[str] | None = None) -> Num
     """Return all numbers of an interface and its parts, or selected ones without rim and tip."""
     mask, surface = s.interface == i, s.surfaces[i]
     parts = {
-        zone_surface: _of_part(s, i, surface, zone_surface, selected)
-        for zone_surface in ([""] if selected else surface.parts)
+        part: _of_part(s, i, surface, part, selected)
+        for part in ([""] if selected else surface.parts)
     }
     main = parts.pop("") | {
         "penetration_max": float(s.penetration[s.interface_of_contact_point == i].max(initial=0.0)),

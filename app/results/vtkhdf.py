@@ -99,7 +99,7 @@ class GridFile:
         After an error the file has the earlier steps, and the step may be written again.
 
         Args:
-            time: Time of the step [s], later than that of the last step.
+            time: Time of the step in stages [-]. With `fracture_step` it may fall.
             point: Values at this rank's points, shape (n,) or (n, components).
             cell: Values in this rank's cells, shape (m,) or (m, components). VTK takes nine
                 components as a tensor by rows, and six as xx, yy, zz, xy, yz, xz.

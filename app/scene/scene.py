@@ -107,8 +107,8 @@ class Scene:
         motions: Prescribed motions of regions.
         period: Duration of a cycle of the cycle tables, 0 without cycle tables [s].
         insertion: Number of stages in which press fits grow; cycle tables do not act in them.
-        loads_of: For each stage that another package solves, the stage whose final loads act;
-            indices of stages.
+        loads_of: From the index of each stage that another package solves to that of the stage
+            whose final loads act in it.
     """
 
     order: int

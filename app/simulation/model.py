@@ -69,7 +69,7 @@ class Mechanical:
     """Mechanics of a model, or of successive models that differ in loads and laws alone.
 
     Attributes:
-        neighbours: States of earlier models, as starts of a solve.
+        warm_start: States of earlier models, as starts of a solve.
         zones: Zones of a hip, with the parts of interfaces in `surfaces`; None for other models.
         stem: Motion of the implant.
     """
@@ -95,12 +95,12 @@ class Mechanical:
         self.stresses = Stresses(problem, geometry.is_around_z, depth)
         borders = self.zones.borders if self.zones else None
         self.bonds = BondForces(problem, self.stresses, borders)
-        self.neighbours = WarmStart(problem, solver)
+        self.warm_start = WarmStart(problem, solver)
         self._balance: Balance | None = None
 
     def begin(self) -> None:
         """Begin another case with problem and solver at rest; collective."""
-        self.neighbours.begin()
+        self.warm_start.begin()
         self.stem.at_insertion = {}
 
     def restored(self) -> None:
@@ -182,7 +182,7 @@ class Model:
                 )
             self.thermal: ThermalModel | None = None
             if self.analysis.heating:
-                self.thermal = ThermalModel(case, self.analysis.heating, self.analysis.problem)
+                self.thermal = ThermalModel(case, self.analysis.heating)
         self._other_models[:] = [
             model for model in self._other_models if not self.deforms_like(model.case)
         ] + [self]
@@ -206,7 +206,7 @@ class Model:
 
     def deforms_like(self, case: Case) -> bool:
         """Return True if a case differs from this one in loads and laws alone."""
-        return _matrices(self.case) == _matrices(case)
+        return _data_of_matrices(self.case) == _data_of_matrices(case)
 
     def _assemble(self) -> tuple[Analysis, Mechanical | None]:
         """Return the analysis and its mechanics, on earlier matrices where they fit; collective."""
@@ -219,7 +219,7 @@ class Model:
             if model.deforms_like(case):
                 earlier = model
                 break
-            has_same_stiffness = _stiffness(model.case) == _stiffness(case)
+            has_same_stiffness = _data_of_stiffness(model.case) == _data_of_stiffness(case)
             if has_same_stiffness and all(
                 support.stages is None for support in self.scene.supports
             ):
@@ -339,11 +339,11 @@ class Model:
             or self.scene.conductors
             or mechanics.solver.linear.exact
         ):
-            return (mechanics.neighbours,)
+            return (mechanics.warm_start,)
         case = coarse_case(self.case, sum(mechanics.solver.block_sizes.values()))
         if case is None:
-            return (mechanics.neighbours,)
-        return mechanics.neighbours, CoarseStart(
+            return (mechanics.warm_start,)
+        return mechanics.warm_start, CoarseStart(
             mechanics.problem, mechanics.solver, lambda: self._coarse_stepper(case)
         )
 
@@ -404,11 +404,11 @@ class Model:
 
     def warnings_of_floating_bodies(self) -> list[Verdict]:
         """Warnings on bodies that nothing holds in the last state; collective."""
-        path = self.mechanics
-        if path is None or path.problem.contact is None:
+        mechanics = self.mechanics
+        if mechanics is None or mechanics.problem.contact is None:
             return []
         return floating_bodies_of_state.warnings_of_floating_bodies(
-            path.problem, path.problem.trial(*path.solver.u_and_q())
+            mechanics.problem, mechanics.problem.trial(*mechanics.solver.u_and_q())
         )
 
     def _add_places(self, numbers: Summary, samples: ContactSamples | None) -> None:
@@ -476,7 +476,7 @@ def coarse_case(case: Case, unknowns: int) -> Case | None:
     return case.model_copy(update={"mesh": mesh, "solver": solver})
 
 
-def _stiffness(case: Case) -> tuple[object, ...]:
+def _data_of_stiffness(case: Case) -> tuple[object, ...]:
     """All data of a case on which the stiffness of the bonded model and its solver depend."""
     solver = case.solver.model_copy(update={"augmentation_factor": 1.0, "tolerance": 0.0})
     stages = [stage.name for stage in case.stages]
@@ -485,11 +485,11 @@ def _stiffness(case: Case) -> tuple[object, ...]:
     return *bodies, motions, case.sliding_boundaries, solver, stages
 
 
-def _matrices(case: Case) -> tuple[object, ...]:
+def _data_of_matrices(case: Case) -> tuple[object, ...]:
     """All data of a case on which its matrices and compiled forms depend."""
     loads = [(name, load.form_key) for name, load in case.loads.items()]
     parting = [name for name, law in case.interfaces.items() if law.can_part]
-    return *_stiffness(case), loads, parting
+    return *_data_of_stiffness(case), loads, parting
 
 
 def _mesh_hash(data: MeshData) -> str:

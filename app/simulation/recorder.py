@@ -256,7 +256,7 @@ class Recorder:
         self.writer.write_fields(self.step_count, self.time, seconds, self.samples)
 
     def flush(self) -> None:
-        """Write the fields of the last step if missing, and a file with the last step alone."""
+        """Write the fields of the last step if missing, and `final.vtkhdf` with that step alone."""
         if self.step_of_last_fields < self.step_count:
             self._fields()
         self.writer.last_fields()

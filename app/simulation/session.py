@@ -48,12 +48,16 @@ class Setup:
     """Parts shared by successive runs.
 
     Attributes:
+        comm: All ranks.
+        loaded: The case as read from its file, with its variations.
+        options: Raw PETSc options from the command line.
         stop: Returns the name of a pending stop signal, or "".
         progress: Called on every rank after each accepted step.
         restart: A checkpoint to restart from, ``auto`` or "".
         force: True to accept a checkpoint of another configuration.
         begin: Start of the run, by `time.perf_counter`.
         started: Date and time at the start (UTC).
+        timing: Seconds by phase.
         model: Model of the last run, for reuse.
         noted: Notes that were logged.
         chosen: Mesh and order for the requested accuracy, in words; empty without a request.

@@ -7,7 +7,6 @@ from dolfinx import fem
 from app.case.case import Case
 from app.case.probes import Probe
 from app.heat.operators import InitialContactTemperature
-from app.mechanics.problem import Problem
 from app.results.balance import HeatBalance
 from app.results.thermal_record import CureRecord, ThermalRecord, heat_through_interfaces
 from app.scene.bodies import nodes_on
@@ -29,7 +28,7 @@ class ThermalModel:
 
     saved = ("heating", "record", "settled", "cure", "balance", "flows")
 
-    def __init__(self, case: Case, heating: HeatState, problem: Problem | None) -> None:
+    def __init__(self, case: Case, heating: HeatState) -> None:
         operators = heating.operators
         self.operators, self.heating = operators, heating
         self._capacities = {c.region: c.capacity for c in operators.scene.conductors}
@@ -106,11 +105,11 @@ class ThermalModel:
         heat = operators.stored(x)
         rounding = heating.system.measure(x, heating.system.vectors())[0].rounding
         if heat_step.dt == 0.0:
-            # In a model of uniform temperature, flows are rounding alone.
+            # Where the temperature is uniform, all flows are below this rounding.
             self.balance.steady(heat_step.flows, heat, 1e2 * rounding)
             return
         moved_heat = self.record.moved_heat(self._capacities)
-        # The same holds before the first heat, for example of friction.
+        # Before the first heat, for example of friction, all heats are below it.
         smallest_heat = LEAST_HEAT_OVER_ROUNDING * rounding * heat_step.dt
         self.balance.update(
             heat_step.dt, heat_step.heats, heat_step.flows, heat, moved_heat, smallest_heat

@@ -29,7 +29,7 @@ BALANCED = 2e-2
 # Remedies: in general; for a failure from rest without gaps; for a cohesive interface that breaks;
 # for displacements that are not small.
 SMALLER = "use more increments, a finer mesh at the interface, or a smaller load"
-AT_REST = (
+FROM_REST = (
     "check the supports and the direction of the loads, or refine the mesh at the interface; "
     "without gaps a smaller first load fails in the same way"
 )
@@ -38,6 +38,11 @@ BREAKS = (
     "interface breaks, and past the peak load only smaller loads are in equilibrium"
 )
 FAR = "use stiffer foundations, add a support, or reduce the load"
+
+
+def place_in_stage(stage: str, fraction: float) -> str:
+    """Name of a stage and the reached fraction of it, in words."""
+    return f"stage '{stage}' at {100 * fraction:.3g} % of it"
 
 
 @dataclass(frozen=True)
@@ -67,7 +72,7 @@ class Explanation:
             reached_fraction: Fraction of the stage at which the solve failed.
             steps: Lengths of the failed steps, as fractions of the stage.
         """
-        place = f"no convergence in stage '{stage}' at {100 * reached_fraction:.3g} % of it"
+        place = f"no convergence in {place_in_stage(stage, reached_fraction)}"
         residuals = ", ".join(f"{r:.1e}" for r in self.outcome.residuals[-6:])
         return ConvergenceError(
             [
@@ -111,11 +116,11 @@ def explanation_of_failure(
     """
     u, q = solver.u_and_q(solver.failed_state)
     if q is None:
-        remedy = AT_REST if fails_at_any_load else SMALLER
+        remedy = FROM_REST if fails_at_any_load else SMALLER
         return Explanation(outcome, Verdict(_residuals(outcome), remedy=remedy))
     trial, first_trial = problem.trial(u, q), problem.trial(*solver.u_and_q(solver.first_state))
     contact = trial.contact
-    dissipates = contact.laws.law_dissipates
+    dissipates = contact.laws.dissipates
     energy = sum(
         float(t.forces.outputs["dissipated"][dissipates].sum()) for t in (trial, first_trial)
     )
@@ -141,7 +146,7 @@ def explanation_of_failure(
     elif runaway:
         cause = Verdict(runaway.what, remedy=FAR, code=Reason.LARGE_DISPLACEMENT)
     else:
-        remedy = AT_REST if fails_at_any_load else SMALLER
+        remedy = FROM_REST if fails_at_any_load else SMALLER
         if breaks:
             remedy = BREAKS
         if friction:
@@ -175,7 +180,7 @@ def _floating_in_failed_solve(
         # counts only if the state has a free motion, which is tested below.
         floating = floating_bodies_of_state.texts_of_pushed_bodies(problem, trial)
     # A body does not float if iterates lose contact that the loads would close.
-    if not floating and (pulled or not problem.load_size or contact.is_apart()):
+    if not floating and (pulled or not problem.size_of_loads or contact.is_apart()):
         for state in (trial, first_trial):
             floating = floating or floating_bodies_of_state.texts_of_floating_bodies(problem, state)
     return floating

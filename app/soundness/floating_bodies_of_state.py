@@ -429,7 +429,7 @@ def error_of_body_held_by_facets(problem: Problem, trial: TrialState) -> Verdict
     laws = contact.laws
     has_given_pairs = np.array([not c.between for c in problem.scene.parting_interfaces])
     is_smooth = (
-        laws.law_can_open & ~laws.law_has_friction & has_given_pairs[contact.local.interface]
+        laws.can_open & ~laws.has_friction & has_given_pairs[contact.local.interface]
     ) & ~trial.forces.bonded
     if not any(problem.comm.allgather(bool(is_smooth.any()))):
         return None

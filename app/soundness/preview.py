@@ -264,7 +264,7 @@ def from_memory(place: str, source: str | None) -> list[Verdict]:
 
 def input_notes(case: Case) -> list[Verdict]:
     """Return notes on allowed but doubtful input for `mantle check` and the log."""
-    notes = case.geometry.former_keys
+    notes = [*case.geometry.former_keys]
     acts = [
         *(law.has_initial_gap for law in case.interfaces.values()),
         *(support.moves for support in case.supports.values()),

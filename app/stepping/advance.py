@@ -40,8 +40,8 @@ class Control(Protocol):
     def propose(self) -> Step:
         """Return the next step to try."""
 
-    def accepts(self, step: Step, error: float) -> bool:
-        """Return True if a step is accepted, and choose the length of the next one.
+    def judge(self, step: Step, error: float) -> bool:
+        """Choose the length of the next step; return True if this one is accepted.
 
         ``error`` is the error over its tolerance, or a number of iterations. It is infinite if the
         step was not solved.
@@ -78,7 +78,7 @@ def advance(
     while not control.finished:
         started = clock.perf_counter()
         step = control.propose()
-        while not control.accepts(step, stepper.try_step(step)):
+        while not control.judge(step, stepper.try_step(step)):
             stepper.refuse(step)
             if control.finished:
                 return
@@ -161,7 +161,7 @@ class FixedSteps:
         """Return the next step."""
         return self._remaining[0]
 
-    def accepts(self, step: Step, error: float) -> bool:
+    def judge(self, step: Step, error: float) -> bool:
         """Accept every step that was solved."""
         if math.isinf(error):
             return False

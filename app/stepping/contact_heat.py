@@ -1,8 +1,8 @@
 r"""Contact in the heat equation: pressures, friction power, and their derivatives.
 
 Friction heats by its dissipation (`TrialState.friction_and_slip`): the work w = F_T · s per area
-since the time step began. The slip s = Δq + (F - F_T)/r excludes the stretch of penalty
-springs. A stage of length h that starts from the work w* has the power (w - w*)/h. The integrator
+since the time step began. The slip s = Δq + (F - F_T)/r excludes the stretch of penalty springs. An
+implicit stage of length h that starts from the work w* has the power (w - w*)/h. The integrator
 treats w as one more unknown, so that the sum over the stages is the work of the whole step.
 
 The law of a contact point is F = P(S), S = -e/W + r (q + g), with the generalized derivative P'.
@@ -92,7 +92,7 @@ class ContactHeat:
         return np.zeros(self._point_count)
 
     def begin(self, h: float, work: Floats) -> None:
-        """Begin a stage.
+        """Begin an implicit stage of a time step.
 
         Args:
             h: Length of the stage [s]; infinite for a steady state, in which friction has no power.

@@ -10,7 +10,9 @@ blocks.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 
 from petsc4py import PETSc
 
@@ -43,7 +45,7 @@ class CoupledSystem(ContactSystem):
 
     # The norm would mix watts and newtons. At a kink of the contact law a line search by it may cut
     # steps to nothing, where full steps converge.
-    newton: Options = {"snes_linesearch_type": "basic"}  # noqa: RUF012
+    newton: Mapping[str, str | float] = MappingProxyType({"snes_linesearch_type": "basic"})
 
     def __init__(
         self, scene: Scene, heat: ImplicitStep, problem: Problem, committed: list[PETSc.Vec]
@@ -149,9 +151,9 @@ class CoupledSystem(ContactSystem):
         """Return True if bodies have moved past each other by the size of the model; collective."""
         return super().runs_away(x[self._heat_blocks :])
 
-    def settle(self, x: list[PETSc.Vec]) -> bool:
+    def remove_free_motions(self, x: list[PETSc.Vec]) -> bool:
         """Remove rigid motions that nothing resists from the last step of a state; collective."""
-        return super().settle(x[self._heat_blocks :])
+        return super().remove_free_motions(x[self._heat_blocks :])
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Sizes of heat and forces, each with its scale."""

@@ -81,7 +81,8 @@ class CreepStepper:
     def fraction(self, stage: Stage) -> float:
         """Completed fraction of the stage [-].
 
-        Creep follows the loads, which end at `Stage.loaded`. Its scale is logarithmic.
+        Loads are applied up to the fraction `Stage.loaded`. Creep has the rest, on a logarithmic
+        scale.
         """
         if self.done >= stage.creep:
             return 1.0
@@ -125,12 +126,12 @@ class CreepStepper:
 
         solved = False
         try:
-            whole_step = self._settle(h, scale)
+            whole_step = self._iterate(h, scale)
             x.copy(self._solver.x)
             self._problem.update_displacements(*self._solver.u_and_q())
             half_steps = np.zeros_like(whole_step)
             for _ in range(2):
-                half_steps += self._settle(h / 2, scale)
+                half_steps += self._iterate(h / 2, scale)
                 u, q = self._solver.u_and_q()
                 self._problem.commit(self._problem.trial(u, q) if q is not None else None)
             error = self._largest_creep_strain(half_steps - whole_step) / scale
@@ -145,7 +146,7 @@ class CreepStepper:
                 self._problem.update_displacements(*self._solver.u_and_q())
         return error
 
-    def _settle(self, h: float, scale: float) -> Floats:
+    def _iterate(self, h: float, scale: float) -> Floats:
         """Solve a step from the committed state; return the stress that creep relaxes; collective.
 
         Raises:
@@ -199,7 +200,7 @@ class CreepSteps:
             return Step(done, end, remaining, ends_increment=True)
         return Step(done, done + self._stepper.length, self._stepper.length, ends_increment=False)
 
-    def accepts(self, step: Step, error: float) -> bool:
+    def judge(self, step: Step, error: float) -> bool:
         """Accept a step within its tolerance; of equal steps, every one that was solved."""
         if self._stage.adaptive:
             self._stepper.length = step.length * GROWTH.factor(error)

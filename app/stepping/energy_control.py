@@ -20,7 +20,8 @@ step begins at an elastic state just beyond the onset of damage (`start_beyond_o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 
 from petsc4py import PETSc
 
@@ -30,7 +31,6 @@ from app.foundation.arrays import Floats
 from app.mechanics.problem import Problem
 from app.numerics.lifetime import python_mat
 from app.numerics.newton import NewtonResult, Solver
-from app.numerics.preconditioners import Options
 from app.numerics.system import MatrixFree, Measure
 
 # Largest number of Newton iterations of a step.
@@ -57,7 +57,7 @@ def dissipated_energy(problem: Problem, u: PETSc.Vec, q: PETSc.Vec | None) -> tu
     if contact is None or q is None or not contact.laws.internal_variables:
         return 0.0, np.zeros(0)
     outputs = problem.trial(u, q).forces.outputs
-    weight = np.where(contact.laws.law_dissipates, contact.local.weight, 0.0)
+    weight = np.where(contact.laws.dissipates, contact.local.weight, 0.0)
     local = float(weight @ outputs["dissipated"])
     return problem.comm.allreduce(local), (weight[:, None] * outputs["dissipated_by_jump"]).ravel()
 
@@ -133,7 +133,7 @@ class EnergyControl(MatrixFree):
 
     prefix = "mantle_energy_"
     # Where damage begins, a line search by the residual may cut steps to nothing.
-    newton: Options = {"snes_linesearch_type": "basic"}  # noqa: RUF012
+    newton: Mapping[str, str | float] = MappingProxyType({"snes_linesearch_type": "basic"})
 
     def __init__(self, problem: Problem, solver: Solver, set_load: Callable[[float], None]) -> None:
         self.comm = problem.comm

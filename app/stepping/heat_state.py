@@ -19,7 +19,7 @@ from app.foundation.arrays import Floats, Ints
 from app.heat.curing import error_as_temperature
 from app.heat.implicit_step import ImplicitStep
 from app.numerics import integrator
-from app.numerics.integrator import METHODS, Method, State
+from app.numerics.integrator import METHODS, SAME_TIME, Method, State
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
 from app.scene.scene import Scene
@@ -28,8 +28,6 @@ from app.stepping.load_steps import Effort
 
 # First step of a stage of the case, as a fraction of an increment, if the rate is unknown.
 FIRST_STEP = 1e-3
-# Relative difference up to which times count as equal.
-SAME_TIME = 1e-9
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from itertools import pairwise
 from app.foundation.errors import ConvergenceError
 from app.numerics.integrator import Controller
 from app.scene.scene import Stage
-from app.soundness.failure import attempts
+from app.soundness.failure import attempts, place_in_stage
 from app.stepping.advance import Control, FixedSteps, Step, advance
 from app.stepping.heat_state import HeatState, HeatStep
 from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
@@ -138,7 +138,7 @@ class HeatStepper:
             else "use more increments, or adaptive: true"
         )
         return (
-            f"no convergence in stage '{stage.name}' at {100 * step.begin:.3g} % of it, "
+            f"no convergence in {place_in_stage(stage.name, step.begin)}, "
             f"with a time step of {step.length:.3g} s\n"
             f"  last residuals (relative to heat or forces): {tail}\n"
             f"  tried: {attempts(outcome.tried)}\n"
@@ -184,9 +184,9 @@ class StepsByError:
         end_fraction = min((end - self._begin) / self._stage.seconds, 1.0)
         return Step(begin_fraction, end_fraction, length, ends_increment)
 
-    def accepts(self, step: Step, error: float) -> bool:
+    def judge(self, step: Step, error: float) -> bool:
         """Accept a step within its tolerance."""
         if math.isinf(error):
             self._controller.failed(step.length)
             return False
-        return self._controller.accepts(step.length, error)
+        return self._controller.judge(step.length, error)

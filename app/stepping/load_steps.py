@@ -23,7 +23,7 @@ from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
 from app.scene.scene import Stage
 from app.soundness.cover import Cover
-from app.soundness.failure import explanation_of_failure, is_proportional
+from app.soundness.failure import explanation_of_failure, is_proportional, place_in_stage
 from app.soundness.floating_bodies_of_state import (
     error_of_body_held_by_facets,
     error_of_expelled_body,
@@ -75,7 +75,7 @@ class Effort:
         newton_iterations: Newton iterations, failed attempts included.
         linear_iterations: Iterations of the linear solver, failed attempts included.
         rejected: Attempts that were not committed.
-        augmentation: Factor on the augmentation in the last step; in a sum, the smallest one.
+        augmentation: `NewtonResult.augmentation` of the last step; in a sum, the smallest one.
     """
 
     steps: int = 0
@@ -107,14 +107,14 @@ class LoadProgress(Progress):
 
     Attributes:
         energy: Fracture energy of the next step [N mm]; 0 if its loads are given.
-        reached: Largest fraction of the path so far.
+        reached: Largest fraction of the path so far; `done` falls where loads fall.
         handed_over_at: Fraction of the path at which steps of given loads last took over because no
-            step of given energy converged; -1 if they never did.
+            step of given energy converged; None if they never did.
     """
 
     energy: float = 0.0
     reached: float = 0.0
-    handed_over_at: float = -1.0
+    handed_over_at: float | None = None
 
 
 @dataclass
@@ -153,8 +153,8 @@ class LoadStepper:
     def solve(self) -> NewtonResult:
         """Solve until points with finite sliding are paired with the facets that they touch."""
         problem, (u, q) = self.problem, self.solver.u_and_q()
-        if problem.sliding:
-            problem.sliding.approach(problem.f, u, q)
+        if problem.sliding_bodies:
+            problem.sliding_bodies.approach(problem.f, u, q)
         outcome = solve(self.solver)
         self.total.count(outcome)
         for _ in range(MAX_PAIRINGS):
@@ -233,8 +233,7 @@ class LoadStepper:
         problem = self.problem
         u, q = self.solver.u_and_q()
         trial = problem.trial(u, q) if q is not None else None
-        percent = 100 * (time - int(time)) or 100
-        location = f"stage '{stage.name}' at {percent:.3g} % of it"
+        location = place_in_stage(stage.name, (time - int(time)) or 1.0)
         if trial is not None:
             verdict = (
                 error_of_body_held_by_facets(problem, trial)
@@ -304,7 +303,7 @@ class LoadSteps:
         """Return the next step."""
         return self.progress.next(self._path.increment)
 
-    def accepts(self, step: Step, error: float) -> bool:
+    def judge(self, step: Step, error: float) -> bool:
         """Accept a solved step; lengthen the next one if it took few iterations."""
         if math.isinf(error):
             return False
@@ -324,8 +323,8 @@ class LoadSteps:
             solver.x.copy(self.start)
         self._path.set_load(step.end)
         problem.update_stiffness()
-        if problem.sliding:
-            problem.sliding.set_committed(*solver.u_and_q())
+        if problem.sliding_bodies:
+            problem.sliding_bodies.set_committed(*solver.u_and_q())
         predictors = self._stepper.predictors if self._uses_predictors else ()
         for predictor in predictors:
             predictor.predict(self._path.time(step.end))
@@ -428,7 +427,7 @@ class EnergySteps:
         progress = self.progress
         return Step(progress.done, progress.done, progress.energy, ends_increment=False)
 
-    def accepts(self, step: Step, error: float) -> bool:
+    def judge(self, step: Step, error: float) -> bool:
         """Accept a step that was solved before the end of the path."""
         return not math.isinf(error) and self._reached < 1.0
 
@@ -469,7 +468,7 @@ class EnergySteps:
             f"no state dissipates {progress.energy:.3g} N mm more at the interfaces; the load has "
             f"reached {100 * max(progress.reached, progress.done):.3g} % of the stage"
         )
-        location = f"stage '{stage.name}' at {100 * progress.done:.3g} % of it"
+        location = place_in_stage(stage.name, progress.done)
         remedy = (
             "use a shorter `fracture_step` or a finer mesh; if the interface is broken, reduce the "
             "load"

@@ -29,7 +29,7 @@ from app.mechanics.point_laws import PointLaws
 from app.mechanics.switches import Switches
 from app.numerics.pointwise import Pointwise
 from app.system.timing import Timing
-from forms.contact import OPEN, SLIP, STICK, contact_law
+from forms.contact import OPEN, SLIP, STICK, augmented_lagrangian
 
 ALL = [(faces, friction) for faces in (1, 2, 3) for friction in (False, True)]
 KINDS = pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def derived(p: Points, friction: bool, *wanted: str) -> list[Floats]:
     def build(x: dict[str, Expr]) -> list[Expr]:
         F, D, gap, r = ufl.variable(x["F"]), ufl.variable(x["D"]), x["gap"], x["r"]
         μ = x["μ"] if friction else None
-        energy = contact_law(F, D, gap, x["old"], x["star"], [x[n] for n in normals], μ, r).energy
+        energy = augmented_lagrangian(F, D, gap, x["old"], x["star"], [x[n] for n in normals], μ, r)
         derivatives = {"energy": energy, "F": ufl.diff(energy, F), "D": ufl.diff(energy, D)}
         # The starred force takes its value after all derivatives. Labels of variables would make
         # each compilation a new one.

@@ -309,7 +309,7 @@ def integrate(p: Point, end: float, method: str = "sdirk4", tolerance: float = T
         if done is None or not are_admissible(done.state[1]):
             control.failed(dt)
             rejected += 1
-        elif control.accepts(dt, norm(done.error)):
+        elif control.judge(dt, norm(done.error)):
             y, slope, seconds = done.state, done.rate, seconds + dt
             rows.append((seconds, y[0][0], y[1][0], slope[1][0]))
         else:

@@ -56,7 +56,7 @@ def test_problem_forces_follow_the_histories(time: float, pull: float, shove: fl
     problem.set_time(time)
     expected = [0, 8 * shove, 3 * AREA * pull]
     np.testing.assert_allclose(total(problem.f), expected, atol=1e-12)
-    assert problem.load_size == pytest.approx(problem.f.norm())
+    assert problem.size_of_loads == pytest.approx(problem.f.norm())
 
 
 def test_problem_residual_is_equilibrium_and_prescribed_values() -> None:
@@ -83,7 +83,7 @@ def test_problem_residual_is_equilibrium_and_prescribed_values() -> None:
     assert not r.array_r[is_constrained].any()
     x = solved(problem, solver, 1.0)
     problem.residual(x, None, r)
-    assert r.norm() < 1e-9 * problem.load_size
+    assert r.norm() < 1e-9 * problem.size_of_loads
     internal = problem.stiffness.reactions * x
     assert internal.sum() == pytest.approx(-3 * AREA, rel=1e-9)
 
@@ -99,21 +99,21 @@ def test_problem_elastic_energy_is_half_the_work_of_the_load() -> None:
     assert u.dot(problem.f) / 2 == pytest.approx(force**2 * FLEXIBILITY / 2, rel=1e-9)
 
 
-def test_problem_force_scale_has_loads_and_reactions() -> None:
+def test_problem_size_of_forces_has_loads_and_reactions() -> None:
     """Forces at free nodes and reactions at supports: each has the size of the load.
 
     The forces of a change of the prescribed displacement alone are no scale.
     """
     problem, solver = support.assemble(support.case(BAR, PULL))
     u = solved(problem, solver, 1.0)
-    scale = problem.force_scale(u, None)
+    scale = problem.size_of_forces(u, None)
     reactions = problem.stiffness.reactions * u
-    assert scale == pytest.approx(problem.load_size + reactions.norm(), rel=1e-12)
+    assert scale == pytest.approx(problem.size_of_loads + reactions.norm(), rel=1e-12)
     # Between a force spread over all nodes of an end, and one at a single node.
     assert 2 * 3 * AREA / 5 < scale < 2 * 3 * AREA
     u.scale(0.5)
-    assert problem.force_scale(u, None) == pytest.approx(
-        problem.load_size + reactions.norm() / 2, rel=1e-12
+    assert problem.size_of_forces(u, None) == pytest.approx(
+        problem.size_of_loads + reactions.norm() / 2, rel=1e-12
     )
 
 
@@ -126,7 +126,7 @@ def test_problem_begins_again_with_other_loads() -> None:
     other = support.case(BAR, PULL, "loads.pull.pressure=-6 MPa")
     problem.begin(build_scene(other), other.solver.augmentation_factor)
     assert problem.time == 0.0 and problem.stiffness.K is K
-    assert not problem.u.x.array.any() and problem.load_size == 0.0
+    assert not problem.u.x.array.any() and problem.size_of_loads == 0.0
     u = solved(problem, solver, 1.0)
     assert u.max()[1] == pytest.approx(6 * AREA * FLEXIBILITY, rel=1e-9)
 
@@ -171,7 +171,7 @@ def test_problem_residual_of_contact_is_that_of_a_whole_bar_if_it_sticks() -> No
     r_u, r_q = u.duplicate(), q.duplicate()
     trial = parted.residual(u, q, r_u, r_q)
     assert trial is not None
-    assert max(r_u.norm(), r_q.norm()) < 1e-9 * parted.load_size
+    assert max(r_u.norm(), r_q.norm()) < 1e-9 * parted.size_of_loads
     weight = trial.contact.local.weight
     np.testing.assert_allclose(weight @ trial.forces.force, [0, 1, -3 * AREA], atol=1e-7)
 

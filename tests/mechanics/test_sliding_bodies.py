@@ -16,7 +16,7 @@ def test_sliding_bodies_approach_until_points_overlap_slightly() -> None:
     All other points stay further away from contact, relative to their gaps.
     """
     problem, solver = support.assemble(support.case(CUP))
-    contact, sliding = problem.contact, problem.sliding
+    contact, sliding = problem.contact, problem.sliding_bodies
     assert contact is not None and sliding is not None
     assert contact.finite_sliding is not None
     u, q = solver.u_and_q()

@@ -24,7 +24,7 @@ def test_thermal_strain_free_expansion_has_no_stress(order: int) -> None:
     scale = 2200 * 8e-5 * 40
     for region in ("one", "two"):
         assert np.abs(bar.stress(region)).max() < 1e-10 * scale
-    assert abs(bar.problem.force_scale(*bar.solver.u_and_q())) > scale
+    assert abs(bar.problem.size_of_forces(*bar.solver.u_and_q())) > scale
     assert max(bar.balance.force, bar.balance.moment, bar.balance.energy) < 1e-10
 
 

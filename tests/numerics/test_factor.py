@@ -53,7 +53,7 @@ def test_factor_schur_complement_equals_dense(
     np.testing.assert_allclose(f.reduce(b), -dense.T @ inverse @ b, atol=1e-11)
     np.testing.assert_allclose(f.expand(x), inverse @ (b / 2 - dense @ x), atol=1e-11)
     np.testing.assert_allclose(f.expand(0 * x), inverse @ b / 2, atol=1e-11)
-    assert f.operations >= 0 and f.entries >= A.shape[0]
+    assert f.entries >= A.shape[0]
 
 
 @pytest.mark.parametrize("kind", BOTH)

@@ -131,7 +131,7 @@ def test_integrator_steps_follow_the_error(method: Method) -> None:
     for _ in range(30):
         dt = control.propose(0.0)
         ratio = (dt / 40) ** method.estimate_order
-        assert control.accepts(dt, ratio) == (ratio <= 1)
+        assert control.judge(dt, ratio) == (ratio <= 1)
     assert 0.5 < ratio <= 1
 
 
@@ -143,7 +143,7 @@ def test_integrator_steps_shrink_before_an_ignition() -> None:
     control, seconds, accepted, rejected = controlled(SDIRK4, [], 1e-3), 0.0, 0, 0
     while 1 - seconds > 1e-6:
         dt = control.propose(seconds)
-        if control.accepts(dt, 100 * (dt / (1 - seconds)) ** 4):
+        if control.judge(dt, 100 * (dt / (1 - seconds)) ** 4):
             seconds, accepted = seconds + dt, accepted + 1
         else:
             rejected += 1
@@ -152,16 +152,16 @@ def test_integrator_steps_shrink_before_an_ignition() -> None:
 
 def test_integrator_shortens_rejected_and_failed_steps() -> None:
     control = controlled(SDIRK4, [], 1.0)
-    assert not control.accepts(1.0, 1e9)
+    assert not control.judge(1.0, 1e9)
     assert control.propose(0.0) == pytest.approx(0.2)
-    assert not control.accepts(0.2, 1.01)
+    assert not control.judge(0.2, 1.01)
     assert 0.2 * 0.8 < control.propose(0.0) < 0.2
     for senseless in (math.nan, math.inf):
-        assert not control.accepts(0.2, senseless)
+        assert not control.judge(0.2, senseless)
         assert control.propose(0.0) == pytest.approx(0.04)
     control.failed(0.1)
     assert control.propose(0.0) == pytest.approx(0.05)
-    assert control.accepts(0.05, 0.0)
+    assert control.judge(0.05, 0.0)
     assert control.propose(0.0) == pytest.approx(0.15)
 
 
@@ -179,7 +179,7 @@ def test_integrator_meets_events_without_crossing(
         assert dt > 0
         ratio = ratios[k % len(ratios)] if k < 60 else 0.5
         k += 1
-        if control.accepts(dt, ratio):
+        if control.judge(dt, ratio):
             seconds += dt
             met.append(seconds)
     for event in events:
@@ -192,8 +192,8 @@ def test_integrator_leaves_no_short_step_before_an_event() -> None:
     control = controlled(SDIRK4, [10.0], 9.99)
     dt = control.propose(0.0)
     assert dt == 5.0
-    assert control.accepts(dt, 0.5)
+    assert control.judge(dt, 0.5)
     assert control.propose(5.0) == 5.0
     # A step cut short by an event does not make the next one short.
-    assert control.accepts(5.0, 0.5)
+    assert control.judge(5.0, 0.5)
     assert control.propose(10.0) >= 9.99
