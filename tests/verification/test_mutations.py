@@ -38,8 +38,8 @@ forms/elasticity.py
     factor_of_the_thermal_strain: return e * Identity(3) -> return e / 3 * Identity(3)
 forms/contact.py
   incline
-    eq65_sign_of_the_augmentation: multiplier + r * (q + i -> multiplier - r * (q + i
-    eq65_sign_of_the_multiplier: multiplier + r * (q + i -> -multiplier + r * (q + i
+    eq65_sign_of_the_augmentation: λ + r * (jump + i -> λ - r * (jump + i
+    eq65_sign_of_the_multiplier: λ + r * (jump + i -> -λ + r * (jump + i
     eq65_other_half_line: p = [-a for a in -> p = [a for a in
     eq65_disc_not_frozen: _states(S_star, dS, normals, μ) -> _states(S, dS, normals, μ)
     cone_of_the_multiplier: {S_star: S} -> {S_star: multiplier}
@@ -48,12 +48,12 @@ forms/contact.py
     cone_inside_out: le(inner(S_T, S_T), radius**2) -> ge(inner(S_T, S_T), radius**2)
     cone_projection: 2 * radius * size - radius**2 -> radius * size - radius**2
   lame_plane_strain_5
-    eq65_sign_of_the_gap: r * (q + initial_gap) -> r * (q - initial_gap)
+    eq65_sign_of_the_gap: r * (jump + initial_gap) -> r * (jump - initial_gap)
   wall_penalty
-    eq65_factor_of_the_potential: multiplier)) / (2 * r) -> multiplier)) / r
+    eq65_factor_of_the_potential: inner(λ, λ)) / (2 * r) -> inner(λ, λ)) / r
     eq57_penalty: q = variable(jump)\n -> r = 1.01 * r\n    q = variable(jump)\n
   foundation_bar
-    eq65_slip_since_the_last_state: r * (q - jump_old) -> r * q
+    eq65_slip_since_the_last_state: r * (jump - jump_old) -> r * jump
 forms/loads.py
   sine_p2
     sign_of_the_body_force: return dot(b, v) -> return -dot(b, v)
