@@ -14,7 +14,7 @@ from app.foundation.verdict import Severity, Verdict, note
 from app.results.verdicts import result_verdict
 from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault
-from app.soundness.preview import from_memory, input_note
+from app.soundness.preview import PEAK, from_memory, input_note
 from app.soundness.result_notes import result_note
 
 
@@ -30,6 +30,25 @@ def _stages(case: Case) -> Iterable[Fault]:
                 f"'{name}' is not one of {', '.join(stage_names)}{did_you_mean(name, stage_names)}"
             )
             yield Fault(("fatigue", "spectrum", name), message)
+
+
+@check("fatigue", "stages", "loads")
+def _cycle_tables(case: Case) -> Iterable[Fault]:
+    """Activities whose loads follow a cycle table that does not end at the peak."""
+    fatigue = fatigue_of(case)
+    assert fatigue
+    untimed = [stage.name for stage in case.stages if not stage.takes_time]
+    if not untimed or untimed[-1] not in fatigue.spectrum:  # tables act in the last of them
+        return
+    for name, load in case.loads.items():
+        forces = load.force_magnitudes if load else ()
+        if forces and forces[-1] < PEAK * max(forces):
+            message = (
+                f"loads.{name} ends its cycle table at {100 * forces[-1] / max(forces):.0f} % of"
+                " the largest force, and the damage is that of the end; expected a table that"
+                " begins and ends at the peak"
+            )
+            yield Fault(("fatigue", "spectrum", untimed[-1]), message)
 
 
 @check("fatigue", "regions")

@@ -217,7 +217,8 @@ class StemTest(Section):
             deviate: Strength of the stem less the mean, over the standard deviation.
         """
         s = np.asarray(self.stress(largest) - deviate * self.law.deviation)
-        return 1.0 / float(self.law.damage(np.maximum(s, np.finfo(float).tiny)))
+        tiny = np.finfo(float).tiny
+        return 1.0 / max(float(self.law.damage(np.maximum(s, tiny))), tiny)
 
     def failing(self, largest: float) -> float:
         """Fraction of the stems that fail within the cycles of the test."""

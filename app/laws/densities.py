@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Discriminator, Tag
+from pydantic import Discriminator, Tag, model_validator
 
-from app.schema.section import ITEMS, UNION_TAG, Extensible, Four, Section, Truth
+from app.schema.section import ITEMS, UNION_TAG, Extensible, Four, Section, Truth, fail
 from app.schema.units import Dimension, Modulus, Number, Stress
 
 if TYPE_CHECKING:
@@ -43,6 +44,15 @@ class DensityLaw(Section):
         tuple[Annotated[tuple[_Density, Stress, Modulus, Number], Four(EXAMPLE)], ...], ITEMS
     ]
     """Ranges: the density at which each begins, a, b and c."""
+
+    @model_validator(mode="after")
+    def _rising(self) -> DensityLaw:
+        starts = [start for start, *_ in self.ranges]
+        for i, (before, start) in enumerate(pairwise(starts), start=1):
+            if start <= before:
+                message = f"begins at {start:g} g/cm^3, not above {before:g} of the range before"
+                fail(message, at=("ranges", i))
+        return self
 
 
 Law = Annotated[

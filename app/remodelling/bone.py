@@ -140,5 +140,6 @@ class BoneMass(Record):
         """Columns of ``history.csv`` after a step; collective."""
         columns = {"remodelled [s]": self.seconds, "bone mass [g]": self.present}
         for zone, change in self.changes().items():
-            columns[f"zone {zone} bone mass change [-]"] = change["all"]
+            if change:
+                columns[f"zone {zone} bone mass change [-]"] = change["all"]
         return columns

@@ -35,6 +35,11 @@ def _stages_and_regions(case: Case) -> Iterable[Fault]:
             yield Fault(
                 ("remodelling", "load_cases", j), message + did_you_mean(name, stages_before)
             )
+    boundaries = case.geometry.boundary_names
+    for j, name in enumerate(law.frozen or () if boundaries else ()):
+        if name not in boundaries:
+            message = f"'{name}' is not one of {', '.join(boundaries)}"
+            yield Fault(("remodelling", "frozen", j), message + did_you_mean(name, boundaries))
     regions, tissues = case.regions or {}, case.geometry.tissues
     bone = [n for n, r in regions.items() if r and (r.tissue or tissues.get(n)) == "bone"]
     for name in law.regions or bone:

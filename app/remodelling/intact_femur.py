@@ -64,13 +64,16 @@ def intact_case(law: Remodelling, operated: Case, regions: tuple[str, ...]) -> C
 
 
 def interpolate_stimulus(stimulus: Floats, forms: BodyForms, target_forms: BodyForms) -> Floats:
-    """Interpolate a stimulus to the vertices of other forms (n, r) [J/g]; collective."""
+    """Interpolate a stimulus to the vertices of other forms (n, r) [J/g]; collective.
+
+    Its columns are the regions in the order of their forms, which may differ.
+    """
     x, target_points = (
         body_forms.scalars.tabulate_dof_coordinates() for body_forms in (forms, target_forms)
     )
     columns = []
-    for k, region in enumerate(forms.density_regions):
-        values = stimulus[:, k]
+    for region in target_forms.density_regions:
+        values = stimulus[:, forms.density_regions.index(region)]
         vertices = forms.vertices(region)
         corners, corner_values = (forms.mesh.comm.allgather(v[vertices]) for v in (x, values))
         columns.append(

@@ -57,7 +57,7 @@ class InputSpread:
         if len(values) < len(self.samples):
             return None
         spread = uncertainty.of_number(values, self.inputs)
-        if spread["deviation"] <= uncertainty.ROUNDING_RANGE:
+        if spread["deviation"] <= uncertainty.ROUNDING_RANGE or not spread["correlation"]:
             return None
         strongest_input, rank = max(spread["correlation"].items(), key=lambda item: abs(item[1]))
         is_clear = abs(rank) > 2.0 / len(values) ** 0.5
@@ -94,7 +94,7 @@ class InputSpread:
         comparison = "Inputs matter more than the mesh"
         if middle <= 1.0:
             comparison = "The mesh matters more than the inputs"
-        size = self.samples[0].data["mesh"]["size"]
+        size = self.samples[0].data["mesh"].get("size", "the file")
         return (
             f"{comparison}: half the range from 5 to 95 % over {len(self.inputs)} inputs exceeds "
             f"the ± for {larger} of {len(ratios)} main numbers; the median ratio is "

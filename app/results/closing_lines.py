@@ -132,7 +132,7 @@ CEMENT_NUMBER = "volume_over_3_MPa"
 STAR = "*"
 LEGEND = "* not resolved: the error is larger than the number; refine the mesh"
 SENTENCES = {
-    "bonds": "{name} is bonded: {strength_fraction} of its area is above its strength; "
+    "bonds": "{name} is bonded: {strength_fraction} of its area is above {limit}; "
     "mean normal traction {normal_mean}, mean shear {shear_mean}",
     "strength": "{name}: 1 % of the area fails at {failure_load_factor} times this load; "
     "failure index {failure_index_p99} (p99), {failure_index_max} (max)",
@@ -252,7 +252,9 @@ def _sentence(section: str, name: str, numbers: Numbers, template_name: str = ""
         if numbers.get(key) is not None:
             times_reached += f", {percent} % everywhere after {_with_unit(section, key, numbers)}"
     template = SENTENCES[template_name or section]
-    return _filled(template, section, name, numbers, reached=times_reached)
+    # A bond without strength is compared with `bond_forces.CEMENT_ON_BONE`.
+    limit = "its strength" if FAILING in numbers else "the strength of cement on bone"
+    return _filled(template, section, name, numbers, reached=times_reached, limit=limit)
 
 
 def _filled(template: str, section: str, name: str, numbers: Numbers, **more: str) -> str:

@@ -13,6 +13,7 @@ from app.fatigue import findings
 from app.fatigue.laws import Fatigue, Murphy, Power, Verdonschot, Weibull
 from app.fatigue.risk import NEAR, distance_from_edges, reentrant_edges, tensions
 from app.foundation.arrays import Floats
+from app.foundation.errors import InputError
 from app.foundation.verdict import recorded
 from app.report import step_curves
 from app.results.verdicts import notes_of
@@ -171,3 +172,25 @@ def test_fatigue_risk_that_grows_with_refinement_is_reported() -> None:
     )
     assert line.text.endswith(f"a fails with a probability of {expected}")
     assert line.tone == "doubtful" and not findings._strength("a", q, {}).tone
+
+
+@pytest.mark.parametrize(("end", "is_refused"), [(10, True), (100, False)])
+def test_fatigue_refuses_a_cycle_table_that_ends_below_its_peak(
+    end: int, is_refused: bool, tmp_path: Path
+) -> None:
+    """The damage is that of the forces at the end of the stage. Tables act in the last stage."""
+    table = tmp_path / "table.csv"
+    table.write_text(f"time [s], factor [%]\n0, {end}\n0.5, 100\n0.8, 40\n1, {end}\n")
+    force = f"force: [12 N, 0 N, 0 N], cycle_table: {table}"
+    changes = (
+        f"loads.pull={{kind: force, boundary: x_max, {force}}}",
+        "stages=[{name: walking}, {name: stairs}]",
+    )
+    support.case(SPECTRUM, *changes, "fatigue.spectrum={walking: 1e6}")
+    stairs = "fatigue.spectrum={stairs: 1e6}"
+    if is_refused:
+        words = r"spectrum\.stairs: loads\.pull ends its cycle table at 10 % of the largest force"
+        with pytest.raises(InputError, match=words):
+            support.case(SPECTRUM, *changes, stairs)
+    else:
+        support.case(SPECTRUM, *changes, stairs)

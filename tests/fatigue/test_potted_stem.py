@@ -48,6 +48,11 @@ def test_potted_stem_life_of_weak_stems_is_that_of_a_larger_stress() -> None:
     assert of_law(LINE.model_copy(update={"deviation": 0.0}), ratio=0.1).failing(100.0) == 0.0
 
 
+@pytest.mark.parametrize("law", [LINE, POWER])
+def test_potted_stem_without_stress_lasts(law: Logarithmic | Power) -> None:
+    assert of_law(law, 0.1).life(0.0) > 1e9
+
+
 def test_potted_stem_stress_has_the_range_of_the_test() -> None:
     test = of_law(LINE, ratio=300 / 2300)
     assert test.stress(500.0) == pytest.approx(500.0 * (1 - 300 / 2300) / 0.9)

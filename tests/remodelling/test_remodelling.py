@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 
 from app.case.case import load_case
 from app.foundation.errors import InputError
@@ -105,6 +108,38 @@ def test_remodelling_unchanged_load_changes_nothing(tmp_path: Path) -> None:
         solved(tmp_path / "x", *reference, stages, "remodelling.load_cases=[stroll]")
 
 
+@pytest.mark.parametrize("order", [("soft", "stiff"), ("stiff", "soft")])
+def test_remodelling_reference_is_found_by_region(order: tuple[str, str], tmp_path: Path) -> None:
+    """The intact case may list its regions in another order; equal loads still change nothing.
+
+    With E = 100 rho^2 a gram of the soft block has 2.8 times the energy of one of the stiff block.
+    """
+    moduli = {"soft": "32 MPa", "stiff": "64 MPa"}
+    blocks = [{"name": name, "size": ["1 mm"] * 3} for name in moduli]
+    changes = {"geometry.blocks": blocks, "interfaces": {"soft_stiff": {"kind": "bonded"}}}
+
+    def regions(names: Iterable[str]) -> dict[str, object]:
+        bone = {"poisson_ratio": 0.3, "tissue": "bone"}
+        return {name: {"youngs_modulus": moduli[name], **bone} for name in names}
+
+    intact = YAML(typ="safe").load(CASE)
+    del intact["remodelling"]
+    intact["stages"] = intact["stages"][:1]
+    intact["geometry"]["blocks"], intact["interfaces"] = changes.values()
+    intact["regions"] = regions(order)
+    path = tmp_path / "intact.yaml"
+    path.write_text(json.dumps(intact))
+    mass = solved(
+        tmp_path / "run",
+        *(f"{key}={json.dumps(value)}" for key, value in changes.items()),
+        f"regions={json.dumps(regions(moduli))}",
+        "remodelling.stimulus=",
+        f"remodelling.intact={path}",
+        SHORT,
+    ).summary["remodelling"]["mass"]
+    assert mass["added"] == 0.0 and mass["end"] == mass["start"]
+
+
 def test_remodelling_bone_at_loads_and_supports_is_frozen(tmp_path: Path) -> None:
     results = solved(
         tmp_path / "a",
@@ -184,6 +219,7 @@ LAW = "remodelling.law={density: apparent, ranges: [[0 g/cm^3, 0 MPa, 100 MPa, "
         ("remodelling.intact=nowhere.yaml", r"intact: no such file: .*nowhere.yaml"),
         ("remodelling.load_cases=[stride]", r"load_cases\[0\]: 'stride' is not an earlier stage"),
         ("remodelling.load_cases=[time]", r"load_cases\[0\]: 'time' is not an earlier stage"),
+        ("remodelling.frozen=[skin]", r"remodelling.frozen\[0\]: 'skin' is not one of x_min"),
         ("remodelling.regions=[skin]", r"remodelling.regions: skin cannot remodel; expected"),
         (f"{LAW}-1]]}}", r"law: does not rise between the bounds"),
         (
