@@ -11,12 +11,15 @@ of the section at z_0 without the peak at the rim of the resin, which has no lim
 
 from __future__ import annotations
 
+from mpi4py import MPI
+
 import numpy as np
 
 from app.case.case import Case
 from app.case.summary import Numbers
 from app.fatigue.laws import level_of, stem_test_of
 from app.foundation.arrays import Bools, Floats
+from app.foundation.errors import InputError
 from app.laws.values import ROUNDING_OF_HEIGHTS
 from app.results.hip import facet_surface, nodal_displacements
 from app.results.percentiles import percentile
@@ -29,7 +32,11 @@ WEAK = -1.645
 
 
 class PottedStem(Record):
-    """Numbers of section ``stem_test`` in the last state."""
+    """Numbers of section ``stem_test`` in the last state; made collectively.
+
+    Raises:
+        InputError: There is nothing of the stem just above the level of the resin.
+    """
 
     def __init__(self, case: Case, followed: RecordedModel) -> None:
         test, level = stem_test_of(case), level_of(case)
@@ -39,6 +46,14 @@ class PottedStem(Record):
         self._level = level
         self._problem = followed.problem
         self._stresses = Stresses(followed.problem, fine=[test.region])
+        height = self._stresses.points_and_volumes(test.region)[0][:, 2] - level
+        is_in_band = bool(((height > 0) & (height <= test.band)).any())
+        if not followed.problem.comm.allreduce(is_in_band, MPI.LOR):
+            raise InputError(
+                f"stem_test.level: region '{test.region}' has no cells within {test.band:g} mm"
+                f" above {level:g} mm, where its stress is fitted; expected a level that the stem"
+                " passes, or a wider band"
+            )
         facets = bodies.boundary_facets(followed.problem.tagged, test.head)
         self._head = facet_surface(followed.problem, facets)
         loads = [load for load in case.loads.values() if test.head in load.boundaries]

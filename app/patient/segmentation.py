@@ -23,6 +23,8 @@ TOTAL_SEGMENTATOR = {
     "version 2": {"femur_left": 75, "femur_right": 76, "hip_left": 77, "hip_right": 78},
     "version 1": {"femur_left": 88, "femur_right": 89, "hip_left": 90, "hip_right": 91},
 }
+# Largest number of version 1; a torso of version 2 has larger ones, such as those of ribs.
+LARGEST_OF_VERSION_1 = 104
 BY_NUMBER = "by its number in TotalSegmentator"
 # A file with more labels, or larger ones, is taken for one of TotalSegmentator.
 MANY_LABELS = 20
@@ -112,11 +114,15 @@ def segments(path: Path) -> list[Structure]:
 
 
 def _of_total_segmentator(path: Path, numbers: Sequence[int]) -> list[Structure]:
-    """Return the structures of a file with the numbers of TotalSegmentator."""
-    likely = max(
-        TOTAL_SEGMENTATOR,
-        key=lambda version: len({*TOTAL_SEGMENTATOR[version].values()} & {*numbers}),
-    )
+    """Return the structures of a file with the numbers of TotalSegmentator.
+
+    The version is that with more of its bones of the hip. A torso has all their numbers in both
+    versions: then larger numbers are of version 2.
+    """
+    bones = {name: len({*n.values()} & {*numbers}) for name, n in TOTAL_SEGMENTATOR.items()}
+    likely = "version 2" if bones["version 2"] > bones["version 1"] else "version 1"
+    if max(numbers) > LARGEST_OF_VERSION_1:
+        likely = "version 2"
     source = f"{BY_NUMBER}, {likely}"
     names = {n: name for name, n in TOTAL_SEGMENTATOR[likely].items()}
     return [Structure(path, n, names.get(n, ""), source if n in names else "") for n in numbers]

@@ -77,6 +77,12 @@ def test_potted_stem_faults_are_found_before_meshing(change: str, words: str) ->
         support.case(BAR, change)
 
 
+def test_potted_stem_level_beside_the_stem_is_refused_before_the_solve(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"stem_test\.level: .* above 300 mm, where its stress"):
+        support.run(BAR, tmp_path, "mesh.size=5 mm", "stem_test.level=300 mm")
+    assert not (tmp_path / "out" / "history.csv").exists()
+
+
 def test_potted_stem_verdict_has_stress_and_life(tmp_path: Path) -> None:
     run = support.run(BAR, tmp_path, "mesh.size=5 mm", "output.fields=false")
     summary = support.summary(run.folder)

@@ -38,6 +38,15 @@ def test_segmentation_femur_by_number_of_totalsegmentator(tmp_path: Path) -> Non
     assert "version 1" in first.source
 
 
+@pytest.mark.parametrize(("largest", "femur"), [(104, 88), (117, 75)])
+def test_segmentation_of_a_torso_by_totalsegmentator(
+    tmp_path: Path, largest: int, femur: int
+) -> None:
+    """All structures of version 1 are 104, of version 2 117: 75 is a rib of the former."""
+    path = nifti(tmp_path / "torso.nii.gz", *range(1, largest + 1))
+    assert segmentation.femur_structure(path, "left", None).number == femur
+
+
 def test_segmentation_given_number_has_no_side_by_chance(tmp_path: Path) -> None:
     """A left femur has the label 76. Next to label 75 it would be a right one."""
     path = nifti(tmp_path / "s.nii.gz", 5, 76)
