@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import cast
 
-from app.case.case import Case, PlannedRun, dump, plain_data
+from app.case.case import Case, PlannedRun, dump, named_files, plain_data
 from app.case.summary import Summary
 from app.case.variations import CHANGED, shared_and_varied
 from app.foundation.errors import (
@@ -181,12 +181,13 @@ def _begun(folder: Path) -> dict[str, Path]:
 
 
 def _digest(case_text: str, run: PlannedRun) -> str:
-    """Return the hexadecimal digest of a case as text, ranks, program and files of the geometry."""
+    """Return the hexadecimal digest of a case as text, ranks, program and files that it names."""
     digested_texts = [
         case_text,
         str(run.ranks),
         json.dumps(identity.versions(), sort_keys=True),
         run.case.geometry.content,
+        *(hashlib.sha256(path.read_bytes()).hexdigest() for path in named_files(run.case)),
     ]
     return hashlib.sha256("\0".join(digested_texts).encode()).hexdigest()[:DIGITS_OF_ID]
 

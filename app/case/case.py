@@ -9,7 +9,7 @@ and takes parts of the `Case`; dimensional values are floats in mm, N, MPa, s, K
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal, TypedDict, cast
@@ -393,6 +393,23 @@ def plain_data(case: Case) -> YamlMapping:
 def dump(case: Case) -> str:
     """A case without its variations as YAML in internal units; it reads back equal."""
     return yaml_file.to_yaml(plain_data(case))
+
+
+def named_files(case: Case) -> list[Path]:
+    """Files that keys name and results depend on, but for those of the geometry, sorted."""
+
+    def paths(value: object) -> Iterator[Path]:
+        if isinstance(value, Path):
+            yield value
+        elif isinstance(value, Mapping):
+            for member in value.values():
+                yield from paths(member)
+        elif isinstance(value, list | tuple):
+            for member in value:
+                yield from paths(member)
+
+    data = case.model_dump(exclude={"geometry", "variations"})
+    return sorted({path for path in paths(data) if path.is_file()})
 
 
 def _renew() -> None:

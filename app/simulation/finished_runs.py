@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from app.case.case import Case, LoadedCase, PlannedRun, dump
+from app.case.case import Case, LoadedCase, PlannedRun, dump, named_files
 from app.case.geometries import MeshFile
 from app.case.summary import Summary
 from app.foundation.errors import InputError
@@ -17,7 +17,8 @@ from app.system import folders, identity
 def finished(folder: Path, case: Case) -> bool:
     """Return True if a run directory is complete, of this case, and written by this program.
 
-    The case has no variations. A mesh file newer than the results counts as another case.
+    The case has no variations. A file that it names, such as a mesh, and that is newer than the
+    results, makes it another case.
     """
     try:
         done_at = (folder / "DONE").stat().st_mtime
@@ -28,8 +29,10 @@ def finished(folder: Path, case: Case) -> bool:
         return False
     is_same_case &= record.get("identity") == identity.versions()
     geometry = case.geometry
-    newer = isinstance(geometry, MeshFile) and geometry.modified > done_at
-    return is_same_case and not newer
+    stamps = [path.stat().st_mtime for path in named_files(case)]
+    if isinstance(geometry, MeshFile):
+        stamps.append(geometry.modified)
+    return is_same_case and max(stamps, default=0.0) <= done_at
 
 
 def summaries(runs: Mapping[Path, PlannedRun]) -> dict[Path, Summary]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -10,12 +11,14 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
+from app.campaigns.runs import runs_of
 from app.case.case import load_case
 from app.foundation.errors import InputError
 from app.remodelling.intact_femur import values_in_nearest_cells
 from app.remodelling.laws import remodelling_of
 from app.results.reading import Run
 from app.scene.scene import build_scene
+from app.simulation.finished_runs import finished
 from app.simulation.session import run
 from app.soundness.preview import input_notes
 from tests import support
@@ -138,6 +141,29 @@ def test_remodelling_reference_is_found_by_region(order: tuple[str, str], tmp_pa
         SHORT,
     ).summary["remodelling"]["mass"]
     assert mass["added"] == 0.0 and mass["end"] == mass["start"]
+
+
+def test_remodelling_runs_depend_on_the_content_of_the_intact_case(tmp_path: Path) -> None:
+    """Another modulus in the file makes another run; a newer file makes results old."""
+    text = CASE.read_text()
+    intact = tmp_path / "intact.yaml"
+    intact.write_text(
+        text[: text.index("remodelling:")].replace("  - {name: time, remodels: 30 s}\n", "")
+    )
+    overrides = ["remodelling.stimulus=", f"remodelling.intact={intact}", SHORT]
+    loaded = load_case(CASE, [*overrides, "output.report=false"])
+    out = tmp_path / "run"
+    solved(out, *overrides)
+    assert finished(out, loaded.config)
+    ids = set()
+    for modulus in ("64 MPa", "32 MPa"):
+        intact.write_text(intact.read_text().replace("64 MPa", modulus))
+        planned = [load_case(CASE, overrides).itself]
+        ids |= {batch_run.id for batch_run in runs_of(planned, tmp_path, 1)}
+    assert len(ids) == 2
+    later = (out / "DONE").stat().st_mtime + 1
+    os.utime(intact, (later, later))
+    assert not finished(out, loaded.config)
 
 
 def test_remodelling_bone_at_loads_and_supports_is_frozen(tmp_path: Path) -> None:
