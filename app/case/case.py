@@ -396,7 +396,7 @@ def dump(case: Case) -> str:
 
 
 def named_files(case: Case) -> list[Path]:
-    """Files that keys name and results depend on, but for those of the geometry, sorted."""
+    """Existing files that keys outside of the geometry name, sorted by path."""
 
     def paths(value: object) -> Iterator[Path]:
         if isinstance(value, Path):

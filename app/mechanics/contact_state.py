@@ -144,8 +144,8 @@ class ContactState:
             shapes: Shapes of the internal variables of the laws, by name.
         """
 
+        # Each field gets a new array, so that an in-place change of one leaves the others.
         def vectors() -> Floats:
-            """Return zeros of their own for each field: an in-place change is of one alone."""
             return np.zeros((n, 3))
 
         def scalars() -> Floats:

@@ -73,7 +73,7 @@ STALLED_BACKTRACKS = 4
 STALLED_FULL_STEPS = 15
 # Residuals that differ by less than this part after a cycle of the states repeat.
 SAME_RESIDUAL = 1e-2
-# Iterates whose states are kept, besides the last one.
+# Number of iterates before the last one whose contact states are kept.
 KEPT_ITERATES = 12
 # The longest cycle that is recognized.
 LONGEST_CYCLE = 5

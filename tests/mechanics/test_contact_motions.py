@@ -9,7 +9,9 @@ import pytest
 from app.soundness.floating_bodies_of_state import warnings_of_floating_bodies
 from tests import support
 
-STIFFNESS, STRENGTH, ENERGY = 1000.0, 10.0, 1.0  # MPa/mm, MPa, N/mm
+STIFFNESS = 1000.0  # MPa/mm
+STRENGTH = 10.0  # MPa
+ENERGY = 1.0  # N/mm
 BONDED = f"""
 geometry:
   kind: blocks
